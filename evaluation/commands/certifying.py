@@ -1,4 +1,4 @@
-"""The commands about what hardly ever happens: certify, falsify, rare, attack."""
+"""The commands about rare events: certify, falsify, rare, attack."""
 
 from __future__ import annotations
 
@@ -35,23 +35,23 @@ _out, _err = Console(), Console(stderr=True, highlight=False)
 
 
 def certify_command(
-    output: Annotated[Path, typer.Argument(help="Folder for the episodes; a run that was stopped goes on there.")],
+    output: Annotated[Path, typer.Argument(help="Folder for the episodes; a stopped run in it is continued.")],
     setting: NamedSetting = None,
     env_id: EnvId = None,
     env_config: EnvConfig = None,
-    policy: Annotated[str, typer.Option(help="A policy by name, or an SB3 .zip.")] = "faster",
-    episodes: Annotated[int, typer.Option(min=1, help="How many, all shielded.")] = 10_000,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the first; the others follow.")] = 1_000_000,
+    policy: Annotated[str, typer.Option(help="Name of a policy, or an SB3 .zip.")] = "faster",
+    episodes: Annotated[int, typer.Option(min=1, help="Number of episodes, all shielded.")] = 10_000,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first episode; the others follow.")] = 1_000_000,
     jobs: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
     config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
     simulator: Annotated[str, typer.Option(help=f"One of {', '.join(SIMULATORS)}.")] = SIMULATORS[0],
 ) -> None:
-    """Drive very many shielded episodes, and write what they bound.
+    """Drive very many shielded episodes, and write a bound on their crash rate.
 
-    Parts of 1,000 episodes are kept as they finish: the same command goes on where it was
-    stopped, and one with more --episodes from there. Writes episodes.parquet and
+    Parts of 1,000 episodes are stored as they finish. The same command continues a stopped
+    run, and one with more --episodes extends a finished one. Writes episodes.parquet and
     certificate.md: crashes with their seeds, a Clopper-Pearson bound on their rate, the
-    smallest clearance, offences of the traffic, fallbacks.
+    least clearance, violations by the traffic, fallbacks.
     """
     check_policy(policy)
     check_jobs(jobs)
@@ -82,23 +82,23 @@ def certify_command(
 
 def rare_command(
     setting: Annotated[str, typer.Option(help="Named environment (see `shield settings`).")] = DEMO_SETTING,
-    policy: Annotated[str, typer.Option(help="A policy by name, an SB3 .zip, or `any` (exact sensor).")] = "faster",
+    policy: Annotated[str, typer.Option(help="Name of a policy, an SB3 .zip, or `any` (exact sensor).")] = "faster",
     samples: Annotated[
-        int | None, typer.Option(min=2, help="Episodes of a level; by default 2,000, and 200 through a noisy sensor.")
+        int | None, typer.Option(min=2, help="Episodes of a level; by default 2,000, and 200 with a noisy sensor.")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the estimate.")] = 0,
     config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
-    sensor: Annotated[str, typer.Option(help="Through which the policy sees, as of `shield evaluate`.")] = "exact",
+    sensor: Annotated[str, typer.Option(help="Sensor of the policy, as in `shield evaluate`.")] = "exact",
     perception: Annotated[
-        str, typer.Option(help="What the shield reads through a noisy sensor: simulator or observation.")
+        str, typer.Option(help="Source of the shield's scenes with a noisy sensor: simulator or observation.")
     ] = "observation",
-    jobs: Annotated[int, typer.Option(help="Processes, through a noisy sensor; -1 for one per core.")] = -1,
+    jobs: Annotated[int, typer.Option(help="Processes, with a noisy sensor; -1 for one per core.")] = -1,
 ) -> None:
     """Estimate how often an episode ends in a crash, without counting.
 
-    By subset simulation over the scenes: an event that happens once in 10,000 episodes takes
-    some 8,000 of them; counting takes 250,000 for the same error. Through a noisy sensor an
-    episode is random all the way: then by splitting those that come near a crash.
+    The estimate comes from subset simulation over the scenes. An event that happens once in
+    10,000 episodes takes some 8,000 of them; counting takes 250,000 for the same error. With a
+    noisy sensor every step is random, and the estimate comes from splitting episodes near a crash.
     """
     if policy != ANY:
         check_policy(policy)
@@ -131,7 +131,7 @@ def rare_command(
 
 
 def _rare_through(spec: DriverSpec, paths: int, seed: int, jobs: int) -> None:
-    """Estimate it through a noisy sensor, and print the rounds."""
+    """Print the estimate with a noisy sensor, and its rounds."""
     from evaluation.falsification.sensor_noise_crashes import crash_probability_through
 
     found = crash_probability_through(spec, paths, seed=seed, jobs=jobs)
@@ -151,18 +151,18 @@ def attack_command(
     ),
     drivers: Annotated[
         str,
-        typer.Option(help="wild: throttle and steering at random; bold: as reckless as the rules permit; mixed."),
+        typer.Option(help="wild: random throttle and steering; bold: worst-case compliant; mixed: both."),
     ] = "mixed",
-    vehicles: Annotated[int, typer.Option(min=1, help="How many of the others they drive.")] = 8,
-    episodes: Annotated[int, typer.Option(min=1, help="How many on each.")] = 100,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the first; the others follow.")] = 0,
+    vehicles: Annotated[int, typer.Option(min=1, help="Number of vehicles that the drivers replace.")] = 8,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes of each environment.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first episode; the others follow.")] = 0,
     jobs: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
     config: Annotated[Path | None, typer.Option(help="Shield settings, TOML; by default the road's own.")] = None,
 ) -> None:
-    """Drive the traffic of road networks against the certificate, in highway-env itself.
+    """Drive adversarial traffic against the certificate on road networks, in highway-env itself.
 
-    Whatever it does is to be named by the monitor, or to do no harm. Ends with 1, and the
-    seeds, where it is not.
+    Every motion of the traffic has to be a recorded violation, or cause no harm. Otherwise the
+    command prints the seeds and exits with status 1.
     """
     check_jobs(jobs)
     settings = [get_setting(name) for name in split([setting])]
@@ -187,7 +187,7 @@ def attack_command(
 
 
 def add_certifying(app: typer.Typer) -> None:
-    """Give the application these commands."""
+    """Add these commands to the application."""
     app.command("certify")(certify_command)
     app.command("falsify")(falsify_command)
     app.command("rare")(rare_command)

@@ -1,4 +1,4 @@
-"""The command `shield`: the demos; what else there is comes from the other modules."""
+"""The command `shield`, with the demos; the other commands come from other modules."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def demo(
     """Drive the bundled PPO with and without the shield, and film overrides.
 
     Takes less than two minutes on two cores. Writes the episodes, their summary, and
-    override.gif: the bundled agent that has learned to crash, behind the shield.
+    override.gif, with a bundled agent that was trained to crash, and the shield.
     """
     if env_id is not None:
         from evaluation.commands.road_demo import road_demo
@@ -98,7 +98,7 @@ def demo(
 def cem_demo_command(
     output: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs", "cem-demo"),
 ) -> None:
-    """Learn to park: collect, fit, plan, and film it.
+    """Learn to park: collect, fit, plan, and film the result.
 
     Takes less than two minutes on one core. Writes parking.gif and error.png.
     """
@@ -115,7 +115,8 @@ add_warming(app)
 def main() -> None:
     """Entry point: errors of the project become one line and exit code 2.
 
-    The working directory is importable, for `--env-id module:id`. It comes last: its files hide no installed module.
+    The working directory is importable, for `--env-id module:id`. It comes last, so that its files hide no installed
+    module.
     """
     if (here := str(Path.cwd())) not in sys.path:
         sys.path.append(here)

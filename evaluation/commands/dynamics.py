@@ -25,7 +25,7 @@ dynamics_app = typer.Typer(
 _out, _err = Console(), Console(stderr=True)
 
 DATA_FILE = "transitions.npz"
-"""The data beside a model that `fit` writes."""
+"""Name of the data file that `fit` writes beside a model."""
 
 _ALL: list[str] = []
 
@@ -37,19 +37,19 @@ def fit(
         str | None,
         typer.Option(help="Learn throttle and steering at highway speeds in this setting, for --model of `evaluate`."),
     ] = None,
-    variant: Annotated[str | None, typer.Option(help="Recipe (see `evaluate`); rounds by default.")] = None,
+    variant: Annotated[str | None, typer.Option(help="Training variant (see `evaluate`); rounds by default.")] = None,
     transitions: Annotated[int | None, typer.Option(help="Transitions with random actions.")] = None,
-    rounds: Annotated[int | None, typer.Option(help="Rounds in which a planner drives on the model so far.")] = None,
+    rounds: Annotated[int | None, typer.Option(help="Rounds of driving by a planner with the model so far.")] = None,
     per_round: Annotated[int | None, typer.Option(help="Transitions in each of these rounds.")] = None,
     members: Annotated[int | None, typer.Option(help="Members of the ensemble.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 0,
     tensorboard: Annotated[str | None, typer.Option(help="Folder for TensorBoard's event files.")] = None,
-    output: Annotated[Path, typer.Option(help="Folder of the model; its data go with it.")] = Path("runs", "dynamics"),
+    output: Annotated[Path, typer.Option(help="Folder of the model and its data.")] = Path("runs", "dynamics"),
 ) -> None:
     """Collect driving, fit a model, and write it.
 
-    Prints for each round the open-loop position error [m] after 1 and 15 decisions: on the held-out
-    episodes of all its data, and on its new driving before it was fitted to.
+    Prints for each round the open-loop position error [m] after 1 and 15 decisions, on held-out
+    episodes of all its data, and on the round's new driving before the fit to it.
     """
     from dynamics.learned.models.files import save_model
     from dynamics.learned.training.open_loop import open_loop
@@ -97,7 +97,7 @@ def fit(
 
 
 def _fit_driving(setting: str, seed: int, transitions: int | None, output: Path) -> None:
-    """The models of a setting, and their open-loop errors [m] in fresh driving."""
+    """Train the models of a setting, and print their open-loop errors [m] in new driving."""
     from dynamics.learned.models.oracle import BicycleModel
     from evaluation.running.driving_model import TRANSITIONS, measure, train_driving
     from mpc.mpc_policy import MPCPolicy
@@ -120,7 +120,7 @@ def _fit_driving(setting: str, seed: int, transitions: int | None, output: Path)
 
 @dynamics_app.command("export")
 def export_command(
-    data: Annotated[Path, typer.Argument(help="The transitions.npz that `fit` wrote.")],
+    data: Annotated[Path, typer.Argument(help="The file transitions.npz of `fit`.")],
     name: Annotated[str, typer.Argument(help="Id of the Minari data set, such as parking/planner-v0.")],
 ) -> None:
     """Write transitions as a Minari data set (an extra: pip install -e .[minari])."""
@@ -136,7 +136,7 @@ def export_command(
 def import_command(
     name: Annotated[str, typer.Argument(help="Id of a Minari data set in the local store.")],
     output: Annotated[Path, typer.Argument(help="The .npz to write.")],
-    dt: Annotated[float | None, typer.Option(help="Duration of a decision [s], where the data set has none.")] = None,
+    dt: Annotated[float | None, typer.Option(help="Duration of a decision [s], if the data set has none.")] = None,
 ) -> None:
     """Read a Minari data set whose observations are states."""
     from dynamics.learned.data.minari import from_minari
@@ -148,7 +148,7 @@ def import_command(
 @dynamics_app.command()
 def evaluate(
     variant: Annotated[list[str], typer.Option(help="Train and test these (repeatable, or a comma list).")] = _ALL,
-    model: Annotated[list[Path], typer.Option(help="Test models that `fit` wrote instead (repeatable).")] = [],  # noqa: B006
+    model: Annotated[list[Path], typer.Option(help="Test these models of `fit` instead (repeatable).")] = [],  # noqa: B006
     env: Annotated[str, typer.Option(help="Environment to learn in.")] = "parking-v0",
     seeds: Annotated[int, typer.Option(min=1, help="Training seeds, from 0 on.")] = 1,
     transitions: Annotated[int, typer.Option(min=50, help="Transitions in each of the two tests.")] = 600,
@@ -157,9 +157,9 @@ def evaluate(
 ) -> None:
     """Print open-loop position errors [m] of models after 1 and 15 decisions (0.2 s and 3 s).
 
-    Medians and 95 % quantiles, in fresh random driving and in a planner's; with several seeds the
-    medians of these over the seeds. Without options every variant of the recipe is trained. Seeds
-    that are in --output already are not trained again.
+    Prints medians and 95 % quantiles, in new random driving and in a planner's. With several
+    seeds it prints the medians of these over the seeds. Without options it trains every variant.
+    Seeds that are in --output already are not trained again.
     """
     import pandas as pd
 
@@ -185,12 +185,12 @@ def evaluate(
 def plot(
     output: Annotated[Path, typer.Argument(help="The .png, .svg or .pdf to write.")],
     variant: Annotated[list[str], typer.Option(help="Train and test these (repeatable, or a comma list).")] = _ALL,
-    model: Annotated[list[Path], typer.Option(help="Test models that `fit` wrote instead (repeatable).")] = [],  # noqa: B006
+    model: Annotated[list[Path], typer.Option(help="Test these models of `fit` instead (repeatable).")] = [],  # noqa: B006
     env: Annotated[str, typer.Option(help="Environment to learn in.")] = "parking-v0",
     seeds: Annotated[int, typer.Option(min=1, help="Training seeds, from 0 on.")] = 1,
     transitions: Annotated[int, typer.Option(min=50, help="Transitions in each of the two tests.")] = 600,
 ) -> None:
-    """Draw the open-loop position error against how far ahead it looks."""
+    """Draw the open-loop position error against the horizon."""
     from evaluation.report.error_curves import plot_errors
     from evaluation.report.plots import plot_path
 
@@ -200,7 +200,7 @@ def plot(
 
 
 def _names(variants: list[str], models: list[Path]) -> list[str]:
-    """The variants that were asked for; all of them without any wish."""
+    """The selected variants; all of them without a selection."""
     from dynamics.learned.training.variants import VARIANTS, variant
 
     names = list(dict.fromkeys(name.strip() for value in variants for name in value.split(",") if name.strip()))
@@ -212,7 +212,7 @@ def _names(variants: list[str], models: list[Path]) -> list[str]:
 
 
 def _done(output: Path, names: list[str], transitions: int) -> Any:
-    """Rows of an earlier run of the same study, of the seeds that it finished."""
+    """Rows of finished seeds of an earlier run of the same study; raises `ConfigError` for another file."""
     import pandas as pd
 
     from evaluation.measuring.dynamics_study import TRUTH
@@ -231,7 +231,7 @@ def _done(output: Path, names: list[str], transitions: int) -> Any:
 
 
 def _trials(names: list[str], models: list[Path], env: str, seeds: Iterable[int], transitions: int) -> Iterator[Any]:
-    """The trials of stored models, or those of each seed."""
+    """Results of stored models, or of each seed."""
     from evaluation.measuring.dynamics_study import stored, study
 
     def say(line: str) -> None:

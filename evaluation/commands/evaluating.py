@@ -1,4 +1,4 @@
-"""The commands that drive and compare: evaluate, episodes and merge."""
+"""The commands that drive and compare episodes: evaluate, episodes and merge."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _out, _err = Console(), Console(stderr=True, highlight=False)
 
 
 class Door(StrEnum):
-    """Where the shield stands."""
+    """Value of --door."""
 
     ENV = "env"
     POLICY = "policy"
@@ -68,30 +68,29 @@ def evaluate_command(
         list[str] | None,
         typer.Option(
             help=f"Shield modes: {', '.join(MODES)} (repeatable, or a comma list)."
-            " By default none and full; none alone where they cannot read the road."
+            " By default none and full; none alone if the road is not supported."
         ),
     ] = None,
     door: Annotated[
         Door,
         typer.Option(
             help="env: ShieldedEnv, around the environment; policy: Shield, around the policy;"
-            " actions: the same, which chooses among actions and leaves the frames between alone; all: one after the"
-            " other."
+            " actions: Shield that chooses actions without supervision of frames; all: each of them."
         ),
     ] = Door.ENV,
     perception: Annotated[
         str,
         typer.Option(
-            help=f"What the shield reads scenes from, of {', '.join(PERCEPTIONS)} (or both): the simulator's true"
-            " state, or nothing of the traffic but what the policy observes."
+            help=f"Source of the shield's scenes: {', '.join(PERCEPTIONS)} (or both). The simulator's true state, or"
+            " of the traffic only the policy's observations."
         ),
     ] = PERCEPTIONS[0],
     sensor: Annotated[
         str,
         typer.Option(
-            help="Through which sensors the policy sees, and a shield that reads observations: one or more of"
-            f" {', '.join(SENSOR_NAMES)}, metric-S and normalised-S with any standard deviation S; with what is added"
-            " to the observation, if anything, such as"
+            help="Sensors of the policy, and of a shield that reads observations: one or more of"
+            f" {', '.join(SENSOR_NAMES)}, metric-S and normalised-S with any standard deviation S. Channels may be"
+            " added to the observation, such as"
             f" normalised-0.5+confidence+intent, of {', '.join(CHANNEL_NAMES)}."
         ),
     ] = "exact",
@@ -100,13 +99,13 @@ def evaluate_command(
     jobs: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
     algorithm: Annotated[
         str | None,
-        typer.Option(help=f"Algorithm of a .zip, where the file does not tell: {', '.join(sorted(ALGORITHMS))}."),
+        typer.Option(help=f"Algorithm of a .zip, if the file does not contain it: {', '.join(sorted(ALGORITHMS))}."),
     ] = None,
     model: Annotated[
         str,
         typer.Option(
-            help=f"What mpc, and the predictive filter of the shield at door env, plans with: {', '.join(MODELS)}, or"
-            " a folder from `shield dynamics fit --setting`. The shield verifies on the bicycle in any case."
+            help=f"Dynamics model of mpc, and of the predictive filter of the shield at door env: {', '.join(MODELS)},"
+            " or a folder of `shield dynamics fit --setting`. The shield always verifies with the bicycle."
         ),
     ] = MODELS[0],
     config: Annotated[
@@ -116,13 +115,13 @@ def evaluate_command(
     buffer: Annotated[
         list[str] | None,
         typer.Option(
-            help="Buffer along the road [m], a row for each (repeatable, or a comma list); by default --config's."
+            help="Buffer along the road [m], one row for each value (repeatable, or a comma list); default --config's."
         ),
     ] = None,
     output: Annotated[
         Path | None,
         typer.Option(
-            help="Write the episodes here (.csv or .parquet), and beside it the summary"
+            help="Write the episodes to this file (.csv or .parquet), and beside it the summary"
             " and the comparison, as NAME-summary and NAME-comparison."
         ),
     ] = None,
@@ -131,19 +130,17 @@ def evaluate_command(
         bool,
         typer.Option(
             "--resume",
-            help="Go on where a run with this --output was stopped, or extend one that is finished: more"
-            " episodes, policies, settings, shield modes.",
+            help="Continue a stopped run with this --output, or extend a finished one by"
+            " episodes, policies, settings or shield modes.",
         ),
     ] = False,
     shard: Annotated[
         str | None,
-        typer.Option(
-            help="i/n: drive every n-th episode only, from the i-th on; `shield merge` puts n such files together."
-        ),
+        typer.Option(help="i/n: drive every n-th episode only, from the i-th on; `shield merge` merges the n files."),
     ] = None,
     steps: Annotated[
         Path | None,
-        typer.Option(help="Write a row of each decision here (.parquet).", show_default=False),
+        typer.Option(help="Write one row for each decision to this file (.parquet).", show_default=False),
     ] = None,
     engine: Annotated[
         str,
@@ -151,26 +148,26 @@ def evaluate_command(
     ] = ENGINES[0],
     address: Annotated[
         str | None,
-        typer.Option(help="Of the Ray cluster; auto, the one that this machine belongs to, or local [auto]."),
+        typer.Option(help="Address of the Ray cluster; auto: the cluster of this machine; local: start one [auto]."),
     ] = None,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print Markdown tables.")] = False,
     latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX tables, for the package booktabs.")] = False,
     simulator: Annotated[
         str,
         typer.Option(
-            help=f"One of {', '.join(SIMULATORS)}. The compiled highway is the same, bit for bit;"
-            " auto takes it where it serves."
+            help=f"One of {', '.join(SIMULATORS)}. The compiled highway is equal to the last bit;"
+            " auto takes it where supported."
         ),
     ] = SIMULATORS[0],
 ) -> None:
     """Drive episodes and print crash rates, returns, speeds, overrides and latencies.
 
-    All rows drive the same seeds. Rates in percent with 95 % intervals, speeds in m/s,
+    All rows drive the same seeds. Rates are in percent with 95 % intervals, speeds in m/s,
     distances and margins in m, latencies in ms per decision.
     """
     form = Form.of(markdown, latex)
     doors = [each.value for each in Door if each is not Door.ALL] if door is Door.ALL else [door.value]
-    # The demo's policy was trained on the demo's observations: another environment's it may not be able to read.
+    # The demo's policy reads the demo's observations only, so other environments get a random policy.
     policies = ask_policies(policy or [DEMO_POLICY if env_id is None else "random"])
     sensors, perceptions, modes = split([sensor]), split([perception]), None if shield is None else split(shield)
     check_modes(modes or [], perceptions)
@@ -232,12 +229,12 @@ def evaluate_command(
 
 
 def episodes_command(
-    rate: Annotated[float, typer.Option(help="Crash rate that is to be shown, such as 1e-3.")],
+    rate: Annotated[float, typer.Option(help="Crash rate to show, such as 1e-3.")],
     versus: Annotated[
-        float | None, typer.Option(help="Crash rate of another policy, from which it is to be told apart.")
+        float | None, typer.Option(help="Crash rate of another policy, to be distinguished from --rate.")
     ] = None,
 ) -> None:
-    """Say how many episodes a statement about a crash rate needs."""
+    """Print the number of episodes that a statement about a crash rate needs."""
     from evaluation.measuring.sample_size import POWER, episodes_to_tell_apart, episodes_without_a_crash
 
     needed = episodes_without_a_crash(rate)
@@ -252,18 +249,18 @@ def merge_command(
     parts: Annotated[
         list[Path],
         typer.Argument(
-            help="What `shield evaluate --shard i/n --output PART` wrote, and with --steps its --steps files."
+            help="Files of `shield evaluate --shard i/n --output PART`, and with --steps its --steps files."
         ),
     ],
     steps: Annotated[
         Path | None,
-        typer.Option(help="The .parquet to write a row for each decision to, from the parts' --steps files."),
+        typer.Option(help="Write one row for each decision to this .parquet, from the parts' --steps files."),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print Markdown tables.")] = False,
     latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX tables, for the package booktabs.")] = False,
 ) -> None:
-    """Put the shards of one experiment together, and print its tables; refuse what does not fit together."""
+    """Merge the shards of one experiment, and print its tables; shards of different experiments are an error."""
     form = Form.of(markdown, latex)
     check_output(output, force)
     if steps is not None:
@@ -285,7 +282,7 @@ def merge_command(
 
 
 def add_evaluating(app: typer.Typer) -> None:
-    """Give the application these commands."""
+    """Add these commands to the application."""
     app.command("evaluate")(evaluate_command)
     app.command("episodes")(episodes_command)
     app.command("merge")(merge_command)

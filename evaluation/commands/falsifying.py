@@ -1,4 +1,4 @@
-"""The command that searches for the worst: falsify."""
+"""The command `falsify`, a search for the worst episode."""
 
 from __future__ import annotations
 
@@ -30,36 +30,36 @@ def falsify_command(
     env_id: EnvId = None,
     env_config: EnvConfig = None,
     policy: Annotated[
-        str, typer.Option(help="A policy by name, an SB3 .zip, or `any`: its actions are searched too.")
+        str, typer.Option(help="Name of a policy, an SB3 .zip, or `any`: its actions are searched too.")
     ] = "any",
     episodes: Annotated[
         int | None,
         typer.Option(
             min=1,
-            help="How many to drive, about, 5,000 by default; among idm at least 500. Among other drivers at most, and"
-            " on road networks at least 50, 500 by default.",
+            help="Number of episodes, 5,000 by default. With idm approximate, and at least 500. With other drivers the"
+            " largest number; on road networks at least 50, 500 by default.",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the search; on road networks of its scenes too.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the search, and on road networks of its scenes.")] = 0,
     config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
     drivers: Annotated[
         str,
         typer.Option(
-            help="Who drives the others. idm: highway-env's own. In highway-env itself, until something is found: bold,"
-            " as reckless as the rules permit (on straight highways on two lanes); on road networks also wild, throttle"
-            " and steering, and mixed."
+            help="Drivers of the other vehicles. idm: highway-env's own. The other drivers are in highway-env itself,"
+            " up to the first find. bold: worst-case compliant (straight highways with two lanes, road networks); on"
+            " road networks also wild, random throttle and steering, and mixed."
         ),
     ] = "idm",
-    jobs: Annotated[int, typer.Option(help="Processes among drivers other than idm; -1 for one per core.")] = -1,
+    jobs: Annotated[int, typer.Option(help="Processes with drivers other than idm; -1 for one per core.")] = -1,
 ) -> None:
     """Search scenes and actions for the shielded episode that comes nearest to a crash.
 
-    Subset simulation over the numbers that a reset draws, and over the policy's actions; on
-    road networks over seeds and actions, with settings that simulate the traffic. Among bold
-    drivers on straight highways: seed by seed, for a crash or a breach of the buffer with
-    nobody named (it ends with 1 then), or for somebody named who has done no wrong. Among
-    drivers on road networks: subset simulation over what each of them does and what the ego
-    proposes, for a breach by one whom nobody has named (it ends with 1 then).
+    With idm: subset simulation over the numbers of a reset and the policy's actions; on road
+    networks over seeds and actions, with settings that simulate the traffic. With bold drivers
+    on straight highways: seed by seed, for a crash or a breach of the buffer without a recorded
+    violation (exit status 1), or for a violation recorded for a compliant driver. With drivers on
+    road networks: subset simulation over their inputs and the ego's proposals, for a breach by a
+    vehicle without a recorded violation (exit status 1).
     """
     given = None if config is None else ShieldConfig.load(config)
     check_jobs(jobs)

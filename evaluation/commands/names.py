@@ -1,4 +1,4 @@
-"""What the commands take where nothing else is asked for."""
+"""Defaults of the commands."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ __all__ = ["DEMO_POLICY", "DEMO_SETTING", "EVALUATION_SEED"]
 
 DEMO_SETTING, DEMO_POLICY = "highway-fast", "ppo-highway-fast"
 EVALUATION_SEED = 100_000
-"""Seed of the first evaluation episode, unless another is asked for."""
+"""Default seed of the first evaluation episode."""

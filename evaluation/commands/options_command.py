@@ -1,4 +1,4 @@
-"""Options of a command from the fields of a dataclass: one field, one option."""
+"""Command-line options from the fields of a dataclass, one option for each field."""
 
 from __future__ import annotations
 
@@ -15,12 +15,16 @@ __all__ = ["options_of", "with_options"]
 
 
 def options_of(kind: type, help: Mapping[str, str]) -> list[inspect.Parameter]:
-    """An option for each field of a dataclass; None where it is not given, so that a file can say it.
+    """An option for each field of a dataclass, with the default None, so that a file can set it.
 
     Parameters
     ----------
-    kind : a dataclass. Types are what the command line has: text, numbers, flags, paths, lists for tuples, and a file
-        for a mapping. help : what is said of each field, by name.
+    kind : a dataclass with text, numbers, flags, paths, tuples (options with several values) and mappings (files).
+    help : help text of each field, by name.
+
+    Returns
+    -------
+    The options as parameters of a function.
     """
     hints = get_type_hints(kind)
     return [
@@ -41,7 +45,8 @@ def with_options(command: Callable[..., None], more: list[inspect.Parameter]) ->
 
     Parameters
     ----------
-    command : takes `**given`, and names its own options before it.
+    command : function with its own options, followed by `**given`.
+    more : the additional options.
     """
     own = [
         each
@@ -62,7 +67,7 @@ def with_options(command: Callable[..., None], more: list[inspect.Parameter]) ->
 
 
 def _asked(hint: Any) -> Any:
-    """What the command line asks for in a field's place."""
+    """Type of the command-line option of a field."""
     parts = [each for each in get_args(hint) if each is not type(None)] if isinstance(hint, UnionType) else [hint]
     first = str if str in parts else parts[0]
     origin = get_origin(first)
@@ -72,6 +77,6 @@ def _asked(hint: Any) -> Any:
 
 
 def _help(one: Field[Any], text: str) -> str:
-    """The text of an option, with what holds without it."""
+    """Help text of an option, with its default."""
     shown = one.default is not MISSING and one.default not in (None, False, "", (), 0)
     return f"{text} [{one.default}]" if shown else text

@@ -1,4 +1,4 @@
-"""The command `replay`: one shielded episode again, in words, as a film, or as a page."""
+"""The command `replay`: repeats one shielded episode, as text, as a film, or as a page."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["add_replaying"]
 
 _out, _err = Console(), Console(stderr=True, highlight=False)
 _POLICY = "faster"
-"""What drives a seed unless something else is asked for."""
+"""Default policy for a seed."""
 
 
 def replay_command(
@@ -32,30 +32,30 @@ def replay_command(
         str | None,
         typer.Argument(
             metavar="[SEED|RUN]",
-            help="Seed of an episode, or what `shield evaluate --output`, or `shield certify`, wrote.",
+            help="Seed of an episode, or a file of `shield evaluate --output`, or a folder of `shield certify`.",
         ),
     ] = None,
     number: Annotated[int | None, typer.Option("--seed", min=0, help="Seed of the episode.")] = None,
-    episode: Annotated[int | None, typer.Option(min=0, help="Of a run: the row of its table, from 0 on.")] = None,
+    episode: Annotated[int | None, typer.Option(min=0, help="Row of a run's table, from 0 on.")] = None,
     setting: NamedSetting = None,
     env_id: EnvId = None,
     env_config: EnvConfig = None,
     policy: Annotated[
-        str | None, typer.Option(help=f"A policy by name, or an SB3 .zip [{_POLICY}; that of the run].")
+        str | None, typer.Option(help=f"Name of a policy, or an SB3 .zip [{_POLICY}; that of the run].")
     ] = None,
     config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
     page: Annotated[
         Path | None,
-        typer.Option("--html", help="Write a page to click through the episode; of a run, beside it unless named."),
+        typer.Option("--html", help="Write a page with the episode; by default beside the file of a run."),
     ] = None,
-    film: Annotated[Path | None, typer.Option(help="Write a .gif of how it ends.")] = None,
-    find: Annotated[Path | None, typer.Option(help="A find of `shield falsify`, in a seed's place.")] = None,
+    film: Annotated[Path | None, typer.Option(help="Write a .gif of the episode's end.")] = None,
+    find: Annotated[Path | None, typer.Option(help="Find of `shield falsify`, instead of a seed.")] = None,
 ) -> None:
-    """Drive one shielded episode in highway-env itself, and say what happens: a line for each
-    override, with what it was for.
+    """Drive one shielded episode in highway-env itself, and print one line for each override with
+    its explanation.
 
-    With --html, or of a run, writes one HTML file that opens without a network: the episode
-    frame by frame, and what would have happened if a refused proposal had passed.
+    With --html, or for a run, writes one HTML file that opens offline: the episode frame by
+    frame, and a simulation of each refused proposal.
     """
     if sum(each is not None for each in (what, number, find)) != 1:
         raise ConfigError("have either the seed of an episode, or a run with --episode, or --find with the file of one")
@@ -90,7 +90,7 @@ def replay_command(
 
 
 def _drive(asked: Asked, page: Path | None) -> EpisodeRecord:
-    """Drive an episode, say what happens, and write its page where one is wanted."""
+    """Drive an episode, print its overrides, and write its page if a path is given."""
     from evaluation.running.episodes import run_episode
 
     def tell(time: float, step: Decision) -> None:
@@ -135,7 +135,7 @@ def _summary(record: EpisodeRecord) -> None:
 
 
 def _replay_run(run: str, episode: int | None, policy: str | None, page: Path | None) -> None:
-    """Drive an episode of a run again, and write its page."""
+    """Drive an episode of a run again, and write its page; exits with status 1 if the episode differs."""
     from evaluation.replay.html import page_path
     from evaluation.replay.run_file import check_same, episode_of, run_file
 
@@ -170,5 +170,5 @@ def _replay_find(path: Path) -> None:
 
 
 def add_replaying(app: typer.Typer) -> None:
-    """Give the application the command."""
+    """Add the command to the application."""
     app.command("replay")(replay_command)

@@ -1,4 +1,4 @@
-"""Where a comparison goes: tables on the terminal, and files."""
+"""Output of a comparison: tables on the terminal, and files."""
 
 from __future__ import annotations
 
@@ -22,11 +22,18 @@ _out = Console()
 
 
 def check_output(path: Path, force: bool, resume: bool = False) -> None:
-    """Refuse what cannot be written before hours of driving, not after.
+    """Check that the table can be written, before the episodes are driven.
 
     Parameters
     ----------
-    path : of the table. force : whether what is there is begun again. resume : whether it is gone on with.
+    path : path of the table.
+    force : whether an existing run is discarded.
+    resume : whether an existing run is continued.
+
+    Raises
+    ------
+    ConfigError
+        If the file has another ending, exists without `force` or `resume`, or cannot be written.
     """
     if path.suffix not in TABLE_ENDINGS:
         raise ConfigError(f"--output {path.name!r} must end in {' or '.join(TABLE_ENDINGS)}")
@@ -42,12 +49,12 @@ def check_output(path: Path, force: bool, resume: bool = False) -> None:
 
 
 def check_steps_path(path: Path, force: bool, resume: bool) -> None:
-    """Refuse a file for decisions that cannot be written, or that is there and would be overwritten unasked.
+    """Check that the file of decisions can be written, and does not exist unless it may be overwritten.
 
     Raises
     ------
     ConfigError
-        That says why.
+        With the reason.
     """
     if path.suffix != ".parquet":
         raise ConfigError(f"--steps {path.name!r} must end in .parquet")
@@ -57,12 +64,12 @@ def check_steps_path(path: Path, force: bool, resume: bool) -> None:
 
 
 def check_writable(path: Path) -> None:
-    """Raise where no file can be written into a file's folder, which is made.
+    """Check that a file can be written into the folder of `path`, which is created.
 
     Raises
     ------
     ConfigError
-        That says why.
+        With the reason.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -73,7 +80,7 @@ def check_writable(path: Path) -> None:
 
 
 class Form(StrEnum):
-    """How tables are printed."""
+    """Format of printed tables."""
 
     TERMINAL = "terminal"
     MARKDOWN = "markdown"
@@ -81,7 +88,7 @@ class Form(StrEnum):
 
     @classmethod
     def of(cls, markdown: bool, latex: bool) -> Form:
-        """The one that is asked for."""
+        """The format for these flags; raises `ConfigError` if both are set."""
         if markdown and latex:
             raise ConfigError("give one of --markdown and --latex")
         return cls.MARKDOWN if markdown else cls.LATEX if latex else cls.TERMINAL
@@ -93,7 +100,7 @@ def report(
     form: Form = Form.TERMINAL,
     made: dict[str, Any] | None = None,
 ) -> None:
-    """Print the tables of some episodes, and write them where asked."""
+    """Print the tables of some episodes, and write them if `output` is given."""
     from evaluation.measuring.metrics import compare, summarise
     from evaluation.report.table import COMPARISON, SUMMARY, latex, markdown, rich_table, write_table
 

@@ -1,4 +1,4 @@
-"""The command that repeats the report's experiments: `shield reproduce`."""
+"""The command `reproduce`, which repeats a report's experiments."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _QUICK_SHIELDS = 5
 
 
 class Table(StrEnum):
-    """Which table."""
+    """Table to reproduce."""
 
     HIGHWAY = "highway"
     ROUNDABOUT = "roundabout"
@@ -30,12 +30,12 @@ def reproduce_command(
     table: Annotated[
         Table,
         typer.Argument(
-            help="highway, roundabout: the report's variants; shields: shields side by side on several roads."
+            help="highway, roundabout: the report's variants; shields: comparison of shields on several roads."
         ),
     ] = Table.HIGHWAY,
     preset: Annotated[
         str,
-        typer.Option(help="as-coded: what the published script does, its mistakes included; as-written: the text."),
+        typer.Option(help="as-coded: the published script, with its mistakes; as-written: the text."),
     ] = "as-coded",
     variant: Annotated[
         list[str] | None, typer.Option(help="Only these rows (repeatable, or a comma list); all by default.")
@@ -44,32 +44,30 @@ def reproduce_command(
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each row and training seed.")] = 1_000,
     pooled: Annotated[
         int,
-        typer.Option(
-            min=1, help="The same of rows that take long: driven one at a time, or simulated on a roundabout."
-        ),
+        typer.Option(min=1, help="Episodes of slow rows, which are driven one at a time or simulated on a roundabout."),
     ] = 30,
     steps: Annotated[int | None, typer.Option(min=1, help="Training steps; by default the preset's.")] = None,
     road: Annotated[
-        list[str] | None, typer.Option(help="Of shields: only these roads (repeatable, or a comma list).")
+        list[str] | None, typer.Option(help="Only these roads of the table shields (repeatable, or a comma list).")
     ] = None,
     shield: Annotated[
-        list[str] | None, typer.Option(help="Of shields: only these shields (repeatable, or a comma list).")
+        list[str] | None, typer.Option(help="Only these shields of the table shields (repeatable, or a comma list).")
     ] = None,
     quick: Annotated[
         bool,
         typer.Option(
             "--quick",
-            help="2 training seeds, 60 episodes and 2,048 steps, or 5 episodes of each shield, whatever else is asked"
-            " for.",
+            help="2 training seeds, 60 episodes and 2,048 steps, or 5 episodes of each shield, instead of other"
+            " options.",
         ),
     ] = False,
-    out: Annotated[Path | None, typer.Option(help="Folder; what is finished there is not done again.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder; finished parts in it are reused.")] = None,
     jobs: Annotated[int, typer.Option(help="Processes, one training seed each; -1 for one per core.")] = -1,
 ) -> None:
-    """Train and drive the report's variants and this project's, or shields side by side, beside what was published.
+    """Train and drive the report's and this project's variants, or compare shields, beside published numbers.
 
     Writes to --out the models, every episode (episodes.parquet and .csv), table.md, verdict.json
-    and manifest.json. The same command goes on where it was stopped.
+    and manifest.json. The same command continues a stopped run.
     """
     check_jobs(jobs)
     named = table.value if table is Table.SHIELDS else f"{table.value}-{preset}"
@@ -94,7 +92,7 @@ def reproduce_command(
     from evaluation.reproduction.variants import get_variants
 
     get_preset(preset, table.value)
-    get_variants(split(variant or []), table.value)  # mistakes in names are told before more is imported
+    get_variants(split(variant or []), table.value)  # report wrong names before slow imports
     from evaluation.reproduction.api import QUICK, reproduce
 
     counts = {"seeds": seeds, "episodes": episodes, "pooled": pooled}
@@ -107,5 +105,5 @@ def reproduce_command(
 
 
 def add_reproducing(app: typer.Typer) -> None:
-    """Give the application the command."""
+    """Add the command to the application."""
     app.command("reproduce")(reproduce_command)

@@ -1,4 +1,4 @@
-"""`shield demo --env-id`: always FASTER on a road, with and without the shield that simulates the traffic."""
+"""`shield demo --env-id`: always FASTER on a road, with and without the shield in simulated traffic."""
 
 from __future__ import annotations
 
@@ -25,11 +25,14 @@ def road_demo(env_id: str, seeds: Sequence[int], output: Path, jobs: int) -> Pat
 
     Parameters
     ----------
-    env_id : the road. seeds : of the episodes. output : folder; made if it is missing. jobs : processes.
+    env_id : the environment.
+    seeds : seeds of the episodes.
+    output : folder; created if it does not exist.
+    jobs : processes.
 
     Returns
     -------
-    The picture.
+    The path of the picture.
 
     Raises
     ------
@@ -45,12 +48,12 @@ def road_demo(env_id: str, seeds: Sequence[int], output: Path, jobs: int) -> Pat
 
 
 def check_road(setting: Setting, config: ShieldConfig) -> None:
-    """Raise where always FASTER cannot be shown.
+    """Check that the demo supports the environment.
 
     Raises
     ------
     ConfigError
-        That lists roads where it can.
+        With a list of supported roads.
     """
     try:
         env = setting.make()

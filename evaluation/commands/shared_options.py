@@ -1,5 +1,7 @@
-"""What several commands ask for alike: settings, environments of the user's, policies. Mistakes in names and files are
-found before anything slow is imported."""
+"""Options that several commands share: settings, environments of the user, policies.
+
+Wrong names and files are reported before slow imports.
+"""
 
 from __future__ import annotations
 
@@ -44,23 +46,23 @@ NamedSetting = Annotated[
 EnvId = Annotated[
     str | None,
     typer.Option(
-        help="Any environment by its Gymnasium id instead, such as highway-v0 or module:id; ID+5x9 on a grid of"
+        help="Any environment by its Gymnasium id instead, such as highway-v0 or module:id; ID+5x9 for a grid of"
         " throttle and steering."
     ),
 ]
 EnvConfig = Annotated[
     Path | None,
-    typer.Option(help="TOML file of what differs from the configuration that --env-id is registered with."),
+    typer.Option(help="TOML file with changes to the registered configuration of --env-id."),
 ]
 
 
 def ask_settings(names: Sequence[str] | None, env_id: str | None, config: Path | None) -> list[Setting]:
-    """The settings of a comparison: named, or an environment of the user's, whose unknown keys are told.
+    """The settings of a comparison: by name, or an environment of the user. Unknown keys are printed as warnings.
 
     Raises
     ------
     ConfigError
-        If there is no such setting, environment or file; or if both are given.
+        If there is no such setting, environment or file, or both are given.
     """
     if env_id is None:
         if config is not None:
@@ -69,7 +71,7 @@ def ask_settings(names: Sequence[str] | None, env_id: str | None, config: Path |
     if names is not None:
         raise ConfigError("give either --setting or --env-id")
     setting = setting_of(env_id, config)
-    _ = setting.configured  # that there is such an environment is found out before more is imported
+    _ = setting.configured  # raises an error if there is no such environment, before slow imports
     if config is not None:
         from evaluation.commands.unknown_keys import unknown_keys
 
@@ -79,7 +81,7 @@ def ask_settings(names: Sequence[str] | None, env_id: str | None, config: Path |
 
 
 def ask_setting(name: str | None, env_id: str | None, config: Path | None) -> Setting:
-    """One setting, as of `ask_settings`."""
+    """One setting, as in `ask_settings`."""
     if name is not None and env_id is None and config is None:
         return get_setting(name)
     return ask_settings(None if name is None else [name], env_id, config)[0]
@@ -102,12 +104,12 @@ def ask_policies(names: Sequence[str]) -> list[str]:
 def ask_hyperparameters(
     file: Path | None, settings: Sequence[str], base: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """Keyword arguments of an algorithm from a TOML file or `base`, and over them single ones such as "n_steps=1024".
+    """Keyword arguments of an algorithm from a TOML file or `base`, updated by single ones such as "n_steps=1024".
 
     Raises
     ------
     ConfigError
-        If there is no such file, or something is no TOML.
+        If there is no such file, or a text is no valid TOML.
 
     Examples
     --------
@@ -134,7 +136,7 @@ def ask_hyperparameters(
 
 
 def check_jobs(jobs: int) -> None:
-    """Raise where a number of processes means nothing.
+    """Check a number of processes.
 
     Raises
     ------
@@ -146,12 +148,12 @@ def check_jobs(jobs: int) -> None:
 
 
 def check_modes(modes: Sequence[str], perceptions: Sequence[str] = ()) -> None:
-    """Raise where a shield has no such mode, or reads scenes from nothing of that name.
+    """Check names of shield modes and of perceptions.
 
     Raises
     ------
     ConfigError
-        That lists what there is.
+        With the valid names.
     """
     for what, names, valid in (("shield mode", modes, MODES), ("perception", perceptions, PERCEPTIONS)):
         for name in names:
@@ -164,7 +166,7 @@ def shard_of(text: str | None) -> tuple[int, int] | None:
     Raises
     ------
     ConfigError
-        If the text is no such pair.
+        If the text has another form.
 
     Examples
     --------
@@ -180,12 +182,12 @@ def shard_of(text: str | None) -> tuple[int, int] | None:
 
 
 def lengths(values: Sequence[str]) -> list[float]:
-    """Repeated options and comma lists of lengths [m].
+    """Repeated options and comma lists of lengths [m] as numbers.
 
     Raises
     ------
     ConfigError
-        If one is no number.
+        If a value is no number.
 
     Examples
     --------

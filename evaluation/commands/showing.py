@@ -1,4 +1,4 @@
-"""The commands that show something: film, picture, plot, table, figures, course, gallery, settings, config."""
+"""The commands that show results: film, picture, plot, table, figures, course, gallery, settings, config."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ def film_command(
     env_config: EnvConfig = None,
     policy: Annotated[
         str | None,
-        typer.Option(help=f"A policy by name, or an SB3 .zip [{DEMO_POLICY}; random with --env-id]."),
+        typer.Option(help=f"Name of a policy, or an SB3 .zip [{DEMO_POLICY}; random with --env-id]."),
     ] = None,
     seed: Annotated[
-        int, typer.Option(min=0, help=f"Where the search for an override begins, below {FIRST_EVALUATION_SEED}.")
+        int, typer.Option(min=0, help=f"First seed of the search for an override, below {FIRST_EVALUATION_SEED}.")
     ] = 0,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
 ) -> None:
-    """Film a policy behind the shield: around one of its overrides, or the first episode where there is none."""
+    """Film a policy with the shield, around one of its overrides, or the first episode without any override."""
     if output.exists() and not force:
         raise ConfigError(f"{output} exists already; --force overwrites it")
     policy = policy or (DEMO_POLICY if env_id is None else "random")
@@ -65,16 +65,16 @@ def picture_command(
 
 
 def plot_command(
-    episodes: Annotated[Path, typer.Argument(help="What `shield evaluate --output` wrote, .csv or .parquet.")],
+    episodes: Annotated[Path, typer.Argument(help="File of `shield evaluate --output`, .csv or .parquet.")],
     output: Annotated[
         Path | None, typer.Option(help="The .png, .svg or .pdf to write; by default beside the episodes, as .png.")
     ] = None,
     noise: Annotated[
-        bool, typer.Option("--noise", help="Plot rows through sensors such as normalised-0.2 against their noise.")
+        bool, typer.Option("--noise", help="Plot rows with sensors such as normalised-0.2 against their noise.")
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
 ) -> None:
-    """Plot crash rates, returns, overrides by reason and smallest gaps."""
+    """Plot crash rates, returns, overrides by reason and least gaps."""
     from evaluation.report.noise_curves import plot_noise
     from evaluation.report.plots import plot_episodes
     from evaluation.report.table import read_episodes
@@ -87,13 +87,13 @@ def plot_command(
 
 
 def report_command(
-    runs: Annotated[list[Path], typer.Argument(help="What `shield evaluate --output` wrote, .csv or .parquet.")],
+    runs: Annotated[list[Path], typer.Argument(help="Files of `shield evaluate --output`, .csv or .parquet.")],
     output: Annotated[
         Path | None, typer.Option(help="The .html to write; by default beside the first run, under its name.")
     ] = None,
     replays: Annotated[
         int,
-        typer.Option(min=0, help="So many of each run's worst shielded episodes are driven again, for pages to link."),
+        typer.Option(min=0, help="Number of each run's worst shielded episodes with a replay page."),
     ] = 3,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
 ) -> None:
@@ -115,11 +115,11 @@ def report_command(
 
 
 def table_command(
-    episodes: Annotated[Path, typer.Argument(help="What `shield evaluate --output` wrote, .csv or .parquet.")],
+    episodes: Annotated[Path, typer.Argument(help="File of `shield evaluate --output`, .csv or .parquet.")],
     markdown: Annotated[bool, typer.Option("--markdown", help="Print Markdown.")] = False,
     latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX, for the package booktabs.")] = False,
 ) -> None:
-    """Print the tables of episodes that were written before."""
+    """Print the tables of a file of episodes."""
     form = Form.of(markdown, latex)
     if not episodes.is_file():
         raise ConfigError(f"there is no file {episodes}")
@@ -131,7 +131,7 @@ def table_command(
 def figures_command(
     output: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("docs", "images"),
 ) -> None:
-    """Draw the figures of how the shield decides."""
+    """Draw the figures about the shield's decision."""
     from evaluation.report.figures import write_figures
 
     for path in write_figures(output):
@@ -153,14 +153,14 @@ def gallery_command(
         Path | None, typer.Argument(help="The .png to write; by default docs/images/roads.png or worst-case-roads.png.")
     ] = None,
     env_id: Annotated[
-        list[str] | None, typer.Option(help="One road (repeatable); by default each that is known.")
+        list[str] | None, typer.Option(help="One road (repeatable); by default every supported road.")
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Where the search for a decision begins.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="First seed of the search for a decision.")] = 0,
     worst_case: Annotated[
-        bool, typer.Option("--worst-case", help="Where others may be, where ways meet, and who waits.")
+        bool, typer.Option("--worst-case", help="Draw reachable areas, conflict zones and yielding vehicles.")
     ] = False,
 ) -> None:
-    """Draw a decision on every road network: overrides by simulation, or what the worst case looks like."""
+    """Draw a decision on every road network: overrides in simulated traffic, or the worst case."""
     if worst_case:
         from evaluation.report.worst_case_view import VIEWED, draw_worst_cases
 
@@ -186,12 +186,12 @@ def config_command(
     profile: Annotated[str, typer.Option(help=f"One of {', '.join(PROFILES)}.")] = "default",
 ) -> None:
     """Print the shield's settings as TOML: the default ones, those for meta-actions alone, those
-    for networks of roads, or those that simulate the traffic."""
+    for road networks, or those that simulate the traffic."""
     typer.echo(ShieldConfig.profile(profile).to_toml(), nl=False)
 
 
 def add_showing(app: typer.Typer) -> None:
-    """Give the application these commands."""
+    """Add these commands to the application."""
     app.command("film")(film_command)
     app.command("picture")(picture_command)
     app.command("plot")(plot_command)

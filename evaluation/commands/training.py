@@ -21,36 +21,36 @@ from shield.errors import ConfigError
 __all__ = ["add_training"]
 
 _WITH_RECIPE = ("steps", "simulator", "sensor", "output")
-"""Options that go with a recipe."""
+"""Options that may be given with a recipe."""
 
 _HELP: Mapping[str, str] = {
-    "setting": "Environment setting to train in (see `shield settings`); NAME+5x9 on a grid of throttle and steering.",
+    "setting": "Environment setting to train in (see `shield settings`); NAME+5x9 for a grid of throttle and steering.",
     "env_id": "Any environment by its Gymnasium id instead, such as highway-v0 or module:id.",
-    "env_config": "TOML file of what differs from the configuration of --env-id.",
+    "env_config": "TOML file with changes to the configuration of --env-id.",
     "algorithm": f"One of {', '.join(TRAINABLE)}.",
     "steps": "Training steps (decisions).",
     "seed": f"Training seed, below {FIRST_EVALUATION_SEED}.",
-    "output": "The zip file to write; a manifest goes beside it.",
-    "envs": "Environments side by side; a recipe has one.",
+    "output": "The zip file to write, with a manifest beside it.",
+    "envs": "Number of environments in a batch; a recipe has one.",
     "hyperparameters": "TOML file of the algorithm's keyword arguments.",
     "normalise": f"{' or '.join(NORMALISABLE)}, by running statistics ({', '.join(ON_POLICY)}; repeatable).",
     "exploration": "Standard deviation of each continuous action at the start.",
-    "fast": "Compute highway-env's observations at once; they are the same.",
-    "simulator": f"One of {', '.join(SIMULATORS)}; the compiled highway teaches the same, bit for bit.",
+    "fast": "Compute highway-env's observations faster, with equal values.",
+    "simulator": f"One of {', '.join(SIMULATORS)}; training in the compiled highway is equal to the last bit.",
     "shield": f"Train inside the shield: {', '.join(PROFILES)}; or none. Compiled on straight highways with"
     " meta-actions.",
-    "sensor": "Through which sensor the policy sees, such as normalised-0.5+intent; as of evaluate.",
-    "override_penalty": "What each step that the shield overrode costs, in units of the reward.",
+    "sensor": "Sensor of the policy, such as normalised-0.5+intent; as in evaluate.",
+    "override_penalty": "Deduction for each overridden step, in units of the reward.",
     "masks": "PPO chooses among the actions that verify (MaskablePPO, the extra `contrib`).",
-    "learn_from": f"Store transitions with the action that was {' or '.join(LEARN_FROM)}.",
+    "learn_from": f"Store transitions with the {' or '.join(LEARN_FROM)} action.",
     "tensorboard": "Folder to log to for TensorBoard (the extra `tensorboard`).",
-    "checkpoint_every": "Steps between two checkpoints, which --resume goes on from.",
-    "resume": "Go on from the last checkpoint in OUTPUT-checkpoints, if there is one.",
-    "evaluate_every": "Steps between two evaluations while it learns; the best model is kept.",
+    "checkpoint_every": "Steps between two checkpoints for --resume.",
+    "resume": "Continue from the last checkpoint in OUTPUT-checkpoints, if there is one.",
+    "evaluate_every": "Steps between two evaluations during training; the best model is kept.",
     "evaluation_episodes": "Episodes of each of these evaluations.",
     "videos": "Film one episode of each evaluation.",
 }
-"""What is said of each field of `TrainingOptions`."""
+"""Help text of each field of `TrainingOptions`."""
 
 _out = Console()
 
@@ -59,7 +59,9 @@ def train_command(
     recipe: Annotated[str | None, typer.Option(help=f"Train a reference policy: {', '.join(RECIPES)}.")] = None,
     options: Annotated[
         Path | None,
-        typer.Option(help="TOML file of the options below, by name; those given here go over it.", show_default=False),
+        typer.Option(
+            help="TOML file of the options below, by name; options given here replace it.", show_default=False
+        ),
     ] = None,
     set_: Annotated[
         list[str] | None,
@@ -69,7 +71,7 @@ def train_command(
     ] = None,
     **given: Any,
 ) -> None:
-    """Train a policy on one core and save it with a manifest that says how."""
+    """Train a policy on one core, and save it with a manifest."""
     asked = {key: value for key, value in given.items() if value is not None}
     if recipe is not None:
         _train_recipe(recipe, asked, bool(set_ or options))
@@ -78,7 +80,7 @@ def train_command(
     if not (found.get("setting") or found.get("env_id")):
         raise ConfigError("give either --recipe or --setting, or --env-id")
     if asked.get("setting") or asked.get("env_id"):
-        # What is asked for here replaces the file's environment, whichever of the two names it.
+        # Options given here replace the file's environment, by either name.
         found = {key: value for key, value in found.items() if key in asked or key not in ("setting", "env_id")}
     base = dict(found.get("hyperparameters", {})) if "hyperparameters" not in asked else {}
     file = asked.get("hyperparameters")

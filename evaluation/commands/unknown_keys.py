@@ -1,4 +1,4 @@
-"""Keys of an environment's configuration that highway-env ignores: at the top, and of observations and actions."""
+"""Keys of an environment's configuration that highway-env ignores: at the top level, in observations and in actions."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ __all__ = ["unknown_keys"]
 
 _FORWARDS = re.compile(r"super\(\)\.__init__\([^)]*\*\*kwargs")
 _WITHIN = ("observation_config", "observation_configs", "action_config")
-"""Where the configuration of each of several egos, or of several observations, stands."""
+"""Keys of the configurations of several egos, or of several observations."""
 _NAMES = {
     "KinematicObservation": "Kinematics",
     "KinematicsGoalObservation": "KinematicsGoal",
     "OccupancyGridObservation": "OccupancyGrid",
     "TimeToCollisionObservation": "TimeToCollision",
 }
-"""What a configuration calls the classes that it calls otherwise."""
+"""Names in a configuration of classes that have another name there."""
 _FACTORIES: Mapping[str, Callable[[Any, Any], Any]] = {"observation": observation_factory, "action": action_factory}
 
 
 def unknown_keys(setting: Setting) -> list[str]:
     """A line for each key of a setting's own configuration that its environment does not read.
 
-    Keys at the top are those of the class's default configuration and of the one that the environment is registered
-    with; keys of observations and actions are the arguments of their types.
+    Valid keys at the top level are those of the class's default configuration and of the registered one. Valid keys of
+    observations and actions are the arguments of their types.
     """
     env = setting.make()
     try:
@@ -45,7 +45,7 @@ def unknown_keys(setting: Setting) -> list[str]:
         for name, factory in _FACTORIES.items():
             given = setting.config.get(name)
             if isinstance(given, Mapping):
-                # highway-env's own defaults have keys that it ignores: who copies them has made no mistake.
+                # highway-env's own defaults contain ignored keys; copies of them are no mistake.
                 usual = default.get(name, {})
                 given = {key: value for key, value in given.items() if key not in usual or usual[key] != value}
                 of = _Reader(setting.env_id, base, factory)
@@ -56,14 +56,16 @@ def unknown_keys(setting: Setting) -> list[str]:
 
 
 class _Reader:
-    """Reads the configuration of observations, or of actions: `factory` makes their types."""
+    """Finds ignored keys in the configuration of observations or actions; `factory` makes their types."""
 
     def __init__(self, env_id: str, base: Any, factory: Callable[[Any, Any], Any]) -> None:
         self._env_id, self._base, self._factory = env_id, base, factory
 
     def unknown(self, where: str, given: Mapping[str, Any], made: Any) -> Iterator[str]:
-        """A line for each key of `given` that what was made of it does not read; `where` is what the message calls the
-        place."""
+        """A line for each key of `given` that the observation or action `made` from it does not read.
+
+        `where` names the section in the message.
+        """
         kind = type(made)
         label = f"{where} of type {_NAMES.get(kind.__name__, kind.__name__)}"
         yield from _told(self._env_id, label, given, arguments_of(kind))
@@ -77,8 +79,8 @@ class _Reader:
 
 
 def arguments_of(kind: type) -> list[str]:
-    """The keys that a type of observation or action reads: the arguments of its constructor, and of those that this
-    hands the others on to."""
+    """The keys that a type of observation or action reads: the arguments of its constructor, and those of base classes
+    to which it passes its other arguments."""
     found = ["type"]
     for each in kind.__mro__:
         own = each.__dict__.get("__init__")

@@ -1,4 +1,4 @@
-"""The command that compiles everything ahead."""
+"""The command `warm`, which compiles all kernels in advance."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ _out = Console()
 
 
 def warm_command() -> None:
-    """Compile all kernels ahead: once after installation, and after an update of this library.
+    """Compile all kernels in advance: once after installation, and after an update of this library.
 
-    What is compiled already is read in seconds. Parts that take long say how long, about, and show their progress.
+    Compiled kernels are read in seconds. Slow parts print their approximate duration and their progress.
     """
     from shield.wrappers.warm_parts import PARTS
 
@@ -29,5 +29,5 @@ def warm_command() -> None:
 
 
 def add_warming(app: typer.Typer) -> None:
-    """Give the application this command."""
+    """Add the command to the application."""
     app.command("warm")(warm_command)

@@ -1,1 +1,1 @@
-"""The experiments of the report that this project grew from, as its text and as its published script have them."""
+"""The experiments of the report that this project started from, by its text and by its published script."""

@@ -1,4 +1,4 @@
-"""`reproduce`: the report's tables from Python, as `shield reproduce highway` and `roundabout` make them."""
+"""`reproduce`: the report's tables from Python, like `shield reproduce highway` and `roundabout`."""
 
 from __future__ import annotations
 
@@ -18,17 +18,20 @@ from evaluation.reproduction.writing import write
 __all__ = ["QUICK", "Reproduced", "reproduce"]
 
 QUICK = {"seeds": 2, "episodes": 60, "pooled": 3, "steps": 2_048}
-"""Counts that take about a minute."""
+"""Counts of a run of about a minute."""
 
 
 @dataclass(frozen=True)
 class Reproduced:
-    """What came of the report's experiments.
+    """Result of the report's experiments.
 
     Attributes
     ----------
-    episodes : a row for each. summary : a row for each variant, with intervals. claims : the report's, each with
-        whether it holds. text : the table and the claims in Markdown. folder : where all of it lies, with the models.
+    episodes : a row for each episode.
+    summary : a row for each variant, with intervals.
+    claims : the report's claims, each with its verdict.
+    text : the table and the claims in Markdown.
+    folder : folder of the results and the models.
     """
 
     episodes: pd.DataFrame
@@ -51,16 +54,20 @@ def reproduce(
     road: str = "highway",
     **counts: int,
 ) -> Reproduced:
-    """Train and drive the report's variants and this project's, beside what was published; what is finished in `out` is
-    not done again.
+    """Train and drive the report's and this project's variants, beside the published numbers.
+
+    Finished parts in `out` are reused.
 
     Parameters
     ----------
-    preset : "as-coded" or "as-written". variants : of the table; all by default.
-    out : a folder, runs/reproduce/ROAD-PRESET by default. jobs : processes, one training seed each.
-    tell : called with a line after each part. road : "highway" or "roundabout".
-    counts : of `seeds`, `episodes`, `pooled` and `steps` those that are not to be `Reproduction`'s; `**QUICK` for a
-        table in about a minute.
+    preset : "as-coded" or "as-written".
+    variants : variants of the table; all by default.
+    out : a folder, runs/reproduce/ROAD-PRESET by default.
+    jobs : processes, one training seed each.
+    tell : called with a line after each part.
+    road : "highway" or "roundabout".
+    counts : values of `seeds`, `episodes`, `pooled` and `steps` that replace the defaults of `Reproduction`; `**QUICK`
+        for a table in about a minute.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Many compiled roads at once, with the report's sensor, columns and override around them."""
+"""Batch of compiled roads with the report's sensor, columns and override."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from shield.config import ShieldConfig
 __all__ = ["NOISE_STREAM", "ReportBatch", "Shown", "setting_for", "shield_for"]
 
 NOISE_STREAM = 49
-"""Beside an episode's seed, so that the noise is not drawn from the numbers of the traffic."""
+"""Second seed of the noise, so that it is independent of the traffic's random numbers."""
 _STATE = 4
 
 
@@ -36,27 +36,30 @@ def setting_for(preset: Preset, variant: Variant) -> Setting:
 
 
 def shield_for(variant: Variant, road: str = "highway") -> ShieldConfig:
-    """The shield's settings of a variant on a road, "highway" or "roundabout": those that `ShieldedEnv` takes there by
-    itself, those of `Shield` with actions alone that reads the simulator's state, or of mode "none"."""
+    """The shield's settings of a variant on a road, "highway" or "roundabout".
+
+    They are the defaults of `ShieldedEnv` there, those of a `Shield` with `frames=False` that reads the simulator's
+    state, or of mode "none".
+    """
     if not variant.shield:
         return ShieldConfig(mode="none")
     return ShieldConfig() if variant.shield == "env" and road == "highway" else ShieldConfig.simulated_traffic()
 
 
 def _overridden(records: Records) -> BoolArray:
-    """In which environments something else was done than was proposed, in the decision or a frame of it, (e,)."""
+    """Environments in which a decision or one of its frames was overridden, (e,)."""
     other = OVERRIDES[records.tier] & (records.executed != records.proposed)
     overridden: BoolArray = other | OVERRIDES[records.tiers].any(axis=1)
     return overridden
 
 
 class Shown:
-    """What a policy is shown of observations: noise, and columns of confidence and intent, in that order.
+    """Observations as the policy receives them: with noise, and with columns of confidence and intent, in that order.
 
     Parameters
     ----------
-    preset, variant : how they are computed, and which there are.
-    envs, rows, decisions : environments, rows of an observation, and decisions of an episode at most.
+    preset, variant : formulas of the columns, and choice of columns.
+    envs, rows, decisions : number of environments, of rows of an observation, and largest number of decisions.
     """
 
     def __init__(self, preset: Preset, variant: Variant, envs: int, rows: int, decisions: int) -> None:
@@ -66,7 +69,7 @@ class Shown:
 
     @property
     def columns(self) -> int:
-        """How many are added."""
+        """Number of added columns."""
         return int(self._variant.confidence) + int(self._variant.intent)
 
     def begin(self, e: int, seed: int) -> None:
@@ -77,12 +80,13 @@ class Shown:
         self._over_time.begin(e)
 
     def of(self, observations: NDArray[np.float32], steps: IntArray, which: IntArray) -> NDArray[np.float32]:
-        """What is shown of some environments, (k, n, 5 + columns); once a decision of each.
+        """Observations of some environments for the policy, (k, n, 5 + columns); to be called once in each decision.
 
         Parameters
         ----------
-        observations, steps : of these, (k, n, 5), and how many decisions each episode has had, (k,).
-        which : their indices, (k,).
+        observations : observations of these environments, (k, n, 5).
+        steps : number of past decisions of each episode, (k,).
+        which : indices of the environments, (k,).
         """
         preset, variant, rows = self._preset, self._variant, observations
         if variant.noise:
@@ -102,18 +106,20 @@ class Shown:
 
 
 class ReportBatch:
-    """So many environments of a variant, compiled.
+    """Batch of compiled environments of a variant.
 
     Parameters
     ----------
-    preset, variant : what they are. num_envs : how many.
+    preset, variant : the variant.
+    num_envs : number of environments.
 
     Attributes
     ----------
-    highways : the traffic, and the shield.
-    shown : what the policy is shown, (e, n, f) float32. steps : decisions that each episode has had, (e,).
-    replaced : in which environments the report's rule replaced the last action, (e,).
-    overridden : in which the shield did something else than it was asked for, (e,).
+    highways : the traffic and the shield.
+    shown : observations for the policy, (e, n, f) float32.
+    steps : number of past decisions of each episode, (e,).
+    replaced : environments in which the report's rule replaced the last action, (e,).
+    overridden : environments in which the shield overrode the last action, (e,).
     """
 
     def __init__(self, preset: Preset, variant: Variant, num_envs: int) -> None:
@@ -140,7 +146,10 @@ class ReportBatch:
         self._show(observations, chosen)
 
     def step(self, actions: IntArray) -> None:
-        """One decision in each, through the report's rule and the shield; see `highways.simulator.seen`."""
+        """Execute one decision in each environment, with the report's rule and the shield.
+
+        The results are in `highways.simulator.seen`.
+        """
         given: IntArray = np.asarray(actions, np.intp)
         self.replaced[:] = False
         if self.variant.override == "distance" or (self.variant.override and self.preset.override == "lane changes"):

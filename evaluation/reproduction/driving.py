@@ -1,4 +1,4 @@
-"""Episodes of a variant, many at once: a row each."""
+"""Episodes of a variant in a batch, one row each."""
 
 from __future__ import annotations
 
@@ -27,10 +27,11 @@ COLUMNS = (
     *("overridden", "frames", "frames_overridden", "fallbacks", "violations", "confidence", "script_lane_changes"),
     "simulator",
 )
-"""Of the rows: `steps` primitive steps; `decisions` of the policy (skills), `slow` how many of these were SLOWER or
-SLOW_DOWN as the policy asked for them; `replaced` steps or skills that the report's rule replaced, `overridden` steps
-that the shield did; `confidence` the mean of the last column of the ego's row, NaN where none is added;
-`script_lane_changes` what the script counts as such. What is not known of episodes driven one at a time is NaN."""
+"""Columns of the rows. `steps`: primitive steps. `decisions`: decisions of the policy (skills). `slow`: proposals
+SLOWER or SLOW_DOWN among these. `replaced`: steps or skills that the report's rule replaced. `overridden`: steps that
+the shield overrode. `confidence`: mean of the last column of the ego's row, NaN without added columns.
+`script_lane_changes`: lane changes by the script's count. Values that are unknown for episodes driven one at a time are
+NaN."""
 
 
 class _Policy(Protocol):
@@ -40,7 +41,7 @@ class _Policy(Protocol):
 
 
 class _Sums:
-    """What is added up beside `Tallies`, of the episode of each environment, (e,)."""
+    """Sums over the episode of each environment beside `Tallies`, (e,)."""
 
     def __init__(self, envs: int) -> None:
         names = ("decisions", "slow", "replaced", "script_lane_changes")
@@ -48,13 +49,13 @@ class _Sums:
         self.confidence: FloatArray = np.zeros(envs)
 
     def begin(self, e: int) -> None:
-        """An episode begins."""
+        """Reset the sums for a new episode."""
         for counts in self.counts.values():
             counts[e] = 0
         self.confidence[e] = 0.0
 
     def add(self, name: str, happened: BoolArray) -> None:
-        """Count where something happened."""
+        """Count the environments in which an event happened."""
         self.counts[name] += happened
 
 
@@ -63,7 +64,8 @@ class _Driver:
 
     Parameters
     ----------
-    batch : the environments. model : what proposes; None for the variant's only action.
+    batch : the environments.
+    model : the model that proposes; None for the variant's only action.
     """
 
     def __init__(self, batch: ReportBatch, model: _Policy | None) -> None:
@@ -71,7 +73,7 @@ class _Driver:
         self.skills = SkillRun(batch) if batch.variant.skills else None
 
     def step(self, sums: _Sums) -> None:
-        """One primitive step of all."""
+        """Execute one primitive step in all environments."""
         batch, skills = self._batch, self.skills
         before = batch.shown[..., 0, :].copy()
         if skills is None:
@@ -103,12 +105,18 @@ class _Driver:
 def drive_many(
     preset: Preset, variant: Variant, model: _Policy | None, seeds: Sequence[int], envs: int = _ENVS
 ) -> pd.DataFrame:
-    """A row for each seed, in order (see `COLUMNS`); the rows do not depend on how many are driven at once.
+    """Drive an episode for each seed; the result does not depend on the size of the batch.
 
     Parameters
     ----------
-    preset, variant : what is driven. model : an SB3 model; None for a baseline.
-    seeds : of the episodes. envs : at once.
+    preset, variant : the variant.
+    model : an SB3 model; None for a baseline.
+    seeds : seeds of the episodes.
+    envs : size of the batch.
+
+    Returns
+    -------
+    A row for each seed, in order, with the columns `COLUMNS`.
     """
     n = min(envs, len(seeds))
     batch = ReportBatch(preset, variant, n)
@@ -119,7 +127,7 @@ def drive_many(
     left = iter(range(len(seeds)))
 
     def follow(which: NDArray[np.intp]) -> None:
-        """Begin the next episodes in these environments; where none is left, one that is not counted."""
+        """Begin the next episodes in these environments; without further seeds, an episode that is not counted."""
         taken = [next(left, -1) for _ in which]
         place[which], going[which] = taken, np.array(taken) >= 0
         batch.begin([seeds[k] if k >= 0 else 0 for k in taken], which.tolist())

@@ -1,4 +1,4 @@
-"""One environment of a variant of the report, to train in."""
+"""Training environment of a variant of the report."""
 
 from __future__ import annotations
 
@@ -19,19 +19,22 @@ __all__ = ["ReportEnv"]
 
 
 class ReportEnv(gym.Env[Any, Any]):
-    """What a variant's policy is trained in. Episodes have seeds below `FIRST_EVALUATION_SEED`, drawn by the seed of
-    the first reset.
+    """Training environment of a variant.
 
-    The reward of a skill of the report is the sum of those of its primitive steps. Of a skill that the shield may
-    interrupt it is semi-Markov: with K primitive steps planned, k carried out, the learner's discount G and g =
-    G^(1/K), it is (r_0 + g r_1 + ... + g^(k-1) r_(k-1)) (1 - G) / (1 - g^k). A learner that discounts every step by G
-    gives the same value to a steady reward then, however often skills are interrupted; with the sum it would avoid
-    whatever is. `info["shield"]["overridden"]` says whether the shield overrode any of the primitive steps,
-    `info["steps"]` how many there were.
+    Episodes have seeds below `FIRST_EVALUATION_SEED`, drawn with the seed of the first reset.
+
+    The reward of a skill of the report is the sum of the rewards of its primitive steps. The reward of a skill that the
+    shield may interrupt is semi-Markov. With K planned primitive steps, k executed ones, the learner's discount G and
+    g = G^(1/K), it is (r_0 + g r_1 + ... + g^(k-1) r_(k-1)) (1 - G) / (1 - g^k). A learner that discounts every step by
+    G then gives the same value to a steady reward for every frequency of interruptions. With the sum it would avoid
+    interrupted skills.
+
+    `info["shield"]["overridden"]` says whether the shield overrode a primitive step, and `info["steps"]` is their
+    number.
 
     Parameters
     ----------
-    preset, variant : what it is.
+    preset, variant : the variant.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
@@ -53,7 +56,7 @@ class ReportEnv(gym.Env[Any, Any]):
         return self._batch.shown[0].copy(), {}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """One decision, or one skill."""
+        """Execute one decision, or one skill."""
         batch, skills, seen = self._batch, self._skills, self._batch.highways.simulator.seen
         chosen = np.array([int(action)], np.intp)
         if skills is not None:
@@ -78,6 +81,6 @@ class ReportEnv(gym.Env[Any, Any]):
         return float(np.dot(g ** np.arange(k), rewards) * (1.0 - self._gamma) / (1.0 - g**k))
 
     def action_masks(self) -> BoolArray:
-        """Which meta-actions verify now, as of `ShieldedVecEnv.action_masks`."""
+        """Mask of meta-actions that verify, as in `ShieldedVecEnv.action_masks`."""
         masks: BoolArray = self._batch.highways.masks()[0]
         return masks

@@ -25,8 +25,11 @@ __all__ = ["hyperparameters", "is_trained", "train_variant"]
 
 
 def hyperparameters(preset: Preset, variant: Variant) -> dict[str, Any]:
-    """Keyword arguments of a variant's algorithm: the preset's of PPO, which MaskablePPO takes too; of DQN those of
-    highway-env's own example, and of TRPO those of sb3-contrib, with the preset's discount and size of the networks."""
+    """Keyword arguments of a variant's algorithm.
+
+    PPO and MaskablePPO have the preset's. DQN has those of highway-env's own example, and TRPO those of sb3-contrib,
+    both with the preset's discount and network size.
+    """
     given: Mapping[str, Any] = preset.hyperparameters
     if variant.learner in ("ppo", "maskableppo"):
         return deepcopy(dict(given))
@@ -46,7 +49,7 @@ def hyperparameters(preset: Preset, variant: Variant) -> dict[str, Any]:
 
 
 def is_trained(path: Path) -> bool:
-    """Whether a model is there and is the one that its manifest, which is written after it, tells of."""
+    """Whether a model exists and matches the hash in its manifest, which is written after it."""
     manifest = manifest_path(path)
     if not (path.is_file() and manifest.is_file()):
         return False
@@ -59,8 +62,10 @@ def train_variant(preset: Preset, variant: Variant, seed: int, steps: int, path:
 
     Parameters
     ----------
-    preset, variant : what is trained. seed : of training. steps : decisions, of skills each a skill.
-    path : the zip file.
+    preset, variant : the variant.
+    seed : training seed.
+    steps : number of decisions; with skills, of skills.
+    path : path of the zip file.
 
     Returns
     -------

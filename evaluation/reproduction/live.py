@@ -1,5 +1,5 @@
-"""Episodes of variants that are not compiled as a whole, one at a time: shields that read observations alone, and the
-planner on learned dynamics."""
+"""Episodes of variants without a compiled batch, one at a time: shields that read only observations, and the planner
+with learned dynamics."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _SLOWER = 4
 
 
 class _Seeing:
-    """A model that is shown what `evaluation.reproduction.batch.Shown` shows, of what a sensor with noise on the others
-    alone has shown: the noise of the ego's row and of absent ones is added, and the confidence.
+    """A model with the observations of `evaluation.reproduction.batch.Shown`, for a sensor with noise on others alone.
 
-    A shield reads what the sensor shows: the ego measures its own state.
+    The noise of the ego's row and of absent rows, and the confidence, are added for the model. The shield reads the
+    sensor's observations, because the ego measures its own state.
     """
 
     def __init__(self, preset: Preset, model: Any) -> None:
@@ -40,7 +40,7 @@ class _Seeing:
         self.begin(0)
 
     def begin(self, seed: int) -> None:
-        """An episode begins."""
+        """Prepare for a new episode."""
         self._generator = np.random.default_rng([seed, NOISE_STREAM])
         self._over_time: ConfidenceOverTime | None = None
         self.asked: list[int] = []
@@ -69,11 +69,17 @@ class _Seeing:
 
 
 def drive_one_by_one(preset: Preset, variant: Variant, model: Any, seeds: Sequence[int]) -> pd.DataFrame:
-    """A row for each seed, in order (see `evaluation.reproduction.driving.COLUMNS`).
+    """Drive an episode for each seed, one at a time.
 
     Parameters
     ----------
-    preset, variant : what is driven, of the variants that are `pooled`. model : an SB3 model; None for the planner.
+    preset, variant : the variant, one of those that are `pooled`.
+    model : an SB3 model; None for the planner.
+    seeds : seeds of the episodes.
+
+    Returns
+    -------
+    A row for each seed, in order (see `evaluation.reproduction.driving.COLUMNS`).
     """
     with one_thread():
         frame = _planned(preset, seeds) if model is None else _observed(preset, variant, model, seeds)
@@ -81,7 +87,7 @@ def drive_one_by_one(preset: Preset, variant: Variant, model: Any, seeds: Sequen
 
 
 def _planned(preset: Preset, seeds: Sequence[int]) -> pd.DataFrame:
-    """The planner on learned dynamics."""
+    """Episodes of the planner with learned dynamics."""
     found = run_paired(preset.setting, "cem", [Driven()], seeds)
     unknown = ["slow", "replaced", "fallbacks", "script_lane_changes", "confidence", "violations"]
     return found.assign(decisions=found["steps"], **dict.fromkeys(unknown, np.nan))

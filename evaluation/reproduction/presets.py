@@ -1,4 +1,4 @@
-"""The two readings of the report, as data: what its text says, and what its published script does."""
+"""The two readings of the report, as data: its text, and its published script."""
 
 from __future__ import annotations
 
@@ -26,8 +26,16 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Published:
-    """A row of the report's table: mean and standard deviation of the return, the crash rate of 10 episodes, and what
-    is logged as the confidence."""
+    """A row of the report's table.
+
+    Attributes
+    ----------
+    label : name of the row.
+    mean, deviation : mean and standard deviation of the return.
+    crash_rate : crash rate of the episodes.
+    confidence : the logged confidence.
+    episodes : number of episodes.
+    """
 
     label: str
     mean: float
@@ -43,18 +51,22 @@ class Preset:
 
     Attributes
     ----------
-    name, description : in a word, and in a line.
-    setting : the environment. envs : how many of them PPO trains in side by side.
-    steps : decisions of training. hyperparameters : of PPO. gamma : of the other learners too.
-    sigma : of the noise, in normalised units.
-    noise : "all rows", the ego's and absent ones too, or "others".
-    confidence : "features", across the four of a row, or "time".
-    intent : "normalised", the threshold on the normalised speed, or "metres".
+    name, description : name, and description in one line.
+    setting : the environment.
+    envs : number of environments in PPO's training.
+    hyperparameters : hyperparameters of PPO.
+    sigma : standard deviation of the noise, in normalised units.
+    noise : "all rows", with the ego's and absent ones, or "others".
+    confidence : "features", across the four features of a row, or "time".
+    intent : "normalised", with a threshold on the normalised speed, or "metres".
     override : "score" (`script.overriding_action`), or "lane changes" (`text.override_lane_changes`).
-    distance : of that rule, and of skills that are interrupted [m]; the report names none, and this is a choice.
-    skills : names and primitive actions.
-    interrupted : whether a skill ends as soon as anybody is nearer than `distance`; else it is gated when it begins.
-    road : "highway" or "roundabout". scale : of its observations.
+    skills : names and primitive actions of the skills.
+    interrupted : whether a skill ends as soon as a vehicle is nearer than `distance`; otherwise it is gated at its
+        start.
+    steps : number of decisions of training.
+    distance : distance of the override rule and of interrupted skills [m]; a choice, because the report has no value.
+    road : "highway" or "roundabout".
+    scale : scale of its observations.
     """
 
     name: str
@@ -76,11 +88,11 @@ class Preset:
 
     @property
     def gamma(self) -> float:
-        """The discount of a decision."""
+        """Discount of a decision, for all learners."""
         return float(self.hyperparameters["gamma"])
 
     def told(self) -> dict[str, Any]:
-        """What determines episodes, as plain values."""
+        """The values that determine episodes, as plain values."""
         left_out = {"description"} | ({"road", "scale"} if self.road == "highway" else set())
         plain = {each.name: getattr(self, each.name) for each in fields(self) if each.name not in left_out}
         if "scale" in plain:
@@ -154,7 +166,7 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
         )
     }
 )
-"""Of the highway, by name."""
+"""Presets of the highway, by name."""
 
 _AS_CODED, _AS_WRITTEN = PRESETS["as-coded"], PRESETS["as-written"]
 
@@ -192,7 +204,7 @@ ROUNDABOUT_PRESETS: Mapping[str, Preset] = MappingProxyType(
         ),
     }
 )
-"""Of the roundabout, by name."""
+"""Presets of the roundabout, by name."""
 
 PUBLISHED: Mapping[str, Published] = MappingProxyType(
     {
@@ -215,11 +227,11 @@ PUBLISHED_ROUNDABOUT: Mapping[str, Published] = MappingProxyType(
         "noise-override-skills": Published("+ safety + skills", 8.45, 9.53, 0.50, 0.007),
     }
 )
-"""The same of its table of the roundabout; it gives no deviation of the first."""
+"""Rows of its table of the roundabout; the first row has no deviation."""
 
 
 def published_for(preset: str) -> Mapping[str, Published]:
-    """The published rows beside those of a preset, by its `Preset.name`."""
+    """The published rows for a preset, by its `Preset.name`."""
     return PUBLISHED_ROUNDABOUT if preset.startswith("roundabout") else PUBLISHED
 
 
@@ -229,7 +241,7 @@ def get_preset(name: str, road: str = "highway") -> Preset:
     Raises
     ------
     ConfigError
-        That lists those that there are.
+        With the valid names.
     """
     presets = ROUNDABOUT_PRESETS if road == "roundabout" else PRESETS
     check_name("preset", name, presets)

@@ -1,7 +1,7 @@
-"""The whole experiment: trained and driven part by part, each kept as it finishes.
+"""The whole experiment: training and driving part by part, each stored as it finishes.
 
-A part is a variant and a training seed. In the folder there are `models/VARIANT-SEED.zip` with a manifest beside each,
-`parts/VARIANT-SEED.parquet`, each with a record in it of what made it, and `manifest.json`: a store of episodes
+A part is a variant and a training seed. The folder contains `models/VARIANT-SEED.zip`, each with a manifest beside it,
+`parts/VARIANT-SEED.parquet`, each with a record of its origin, and `manifest.json`. It is a store of episodes
 (`evaluation.running.store`).
 """
 
@@ -37,7 +37,7 @@ __all__ = ["FIRST_SEED", "Reproduction", "first_seed", "run", "why_not"]
 FIRST_SEED = 970_000
 """Seed of the first episode of the first training seed on the highway."""
 _SEEDS = {"highway": (FIRST_SEED, 10_000), "roundabout": (1_830_000, 1_000)}
-"""Of each road (first, stride): training seed k has the episodes from first + k * stride on."""
+"""For each road (first, stride): the episodes of training seed k have seeds from first + k * stride on."""
 _SHOWN = 6
 _PHASES = ("training", "driving")
 
@@ -49,13 +49,15 @@ def first_seed(preset: Preset) -> int:
 
 @dataclass(frozen=True)
 class Reproduction:
-    """What is trained and driven.
+    """Specification of the experiment.
 
     Attributes
     ----------
-    preset, variants : see there. seeds : training seeds, from 0 on.
-    episodes : of each variant and training seed; pooled : of those that take long (`takes_long`).
-    steps : of training.
+    preset, variants : the preset and its variants.
+    seeds : number of training seeds, from 0 on.
+    episodes : episodes of each variant and training seed.
+    pooled : episodes of each slow variant and training seed (`takes_long`).
+    steps : number of training steps.
     """
 
     preset: Preset
@@ -76,18 +78,20 @@ class Reproduction:
             )
 
     def scenes(self, variant: Variant, seed: int) -> range:
-        """Seeds of the episodes of a training seed; the same for all variants."""
+        """Seeds of the episodes of a training seed, the same for all variants."""
         first, stride = _SEEDS[self.preset.road]
         first += stride * seed
         return range(first, first + (self.pooled if self.takes_long(variant) else self.episodes))
 
     def takes_long(self, variant: Variant) -> bool:
-        """Whether a variant has `pooled` episodes: it is driven one episode at a time, or behind a shield that
-        simulates the traffic on the roundabout, where the car cannot stop."""
+        """Whether a variant is slow and has `pooled` episodes.
+
+        Such a variant is driven one episode at a time, or with a shield that simulates the traffic on the roundabout.
+        """
         return variant.pooled or (bool(variant.shield) and self.preset.road == "roundabout")
 
     def told(self, variant: Variant) -> dict[str, Any]:
-        """What determines the rows of a variant, as plain values."""
+        """The values that determine the rows of a variant, as plain values."""
         told: dict[str, Any] = {"preset": self.preset.told(), "variant": variant.told()}
         if variant.learner and variant.learner != "cem":
             told |= {"training steps": self.steps, "hyperparameters": hyperparameters(self.preset, variant)}
@@ -96,7 +100,7 @@ class Reproduction:
 
 
 def why_not(preset: Preset, variant: Variant) -> str:
-    """Why a variant cannot be had here; "" where it can."""
+    """The reason why a variant is unsupported here; "" if it is supported."""
     try:
         on_highway = preset.road == "highway"
         if variant.default_road and on_highway:
@@ -119,12 +123,14 @@ def why_not(preset: Preset, variant: Variant) -> str:
 def run(
     experiment: Reproduction, folder: Path, jobs: int = 1, tell: Callable[[str], None] | None = None
 ) -> pd.DataFrame:
-    """Train and drive whatever is not in the folder yet, and return all rows.
+    """Train and drive the parts that are not in the folder yet, and return all rows.
 
     Parameters
     ----------
-    experiment : what is asked for. folder : where it is kept.
-    jobs : processes; -1 for one per core. tell : called with a line after each part; with one process only.
+    experiment : specification of the experiment.
+    folder : folder of the results.
+    jobs : processes; -1 for one per core.
+    tell : called with a line after each part, with one process only.
 
     Returns
     -------
@@ -141,7 +147,7 @@ def run(
         except OSError as error:
             raise ConfigError(f"{folder} cannot be written: {error.strerror}") from None
     _adopt(folder)
-    commit()  # that of the source which has been read
+    commit()  # cached now, so that it is the commit of the imported source
     left_out = {each.name: reason for each in experiment.variants if (reason := why_not(experiment.preset, each))}
     variants = [each for each in experiment.variants if each.name not in left_out and each.model not in left_out]
     for variant in variants:
@@ -168,12 +174,12 @@ def _seed(
     folder: Path,
     tell: Callable[[str], None] | None,
 ) -> list[pd.DataFrame]:
-    """All parts of one training seed; a model is trained before whoever shares it is driven."""
+    """All parts of one training seed; a model is trained before a variant that shares it is driven."""
     return [_part(experiment, variant, seed, folder, tell) for variant in variants]
 
 
 def _adopt(folder: Path) -> None:
-    """Make parts of the rows of an earlier version, which had a record in a file beside each."""
+    """Convert the rows of an earlier version, with a file of their record beside them, to parts."""
     for rows in sorted((folder / "episodes").glob("*.parquet")):
         record = rows.with_suffix(".json")
         if record.is_file():
@@ -185,7 +191,7 @@ def _adopt(folder: Path) -> None:
 
 
 def _names(variant: Variant, seed: int, folder: Path) -> tuple[Path, str]:
-    """The model that drives, and the part of the rows."""
+    """Path of the model, and name of the part."""
     return folder / "models" / f"{variant.model or variant.name}-{seed}.zip", f"{variant.name}-{seed}"
 
 
@@ -206,7 +212,7 @@ def _by_phase(began: float, trained: float, driven: float) -> dict[str, float]:
 
 
 def _check(experiment: Reproduction, variant: Variant, seed: int, folder: Path) -> None:
-    """Raise where the rows that are there were made otherwise."""
+    """Check that existing rows have the same specification, versions and model; raises `ConfigError` otherwise."""
     model, part = _names(variant, seed, folder)
     before = Parts(folder).record(part)
     if before is None:
@@ -225,7 +231,7 @@ def _check(experiment: Reproduction, variant: Variant, seed: int, folder: Path) 
 def _part(
     experiment: Reproduction, variant: Variant, seed: int, folder: Path, tell: Callable[[str], None] | None
 ) -> pd.DataFrame:
-    """The rows of one part, made or read; what is there is not made again."""
+    """The rows of one part; missing ones are made, existing ones are read."""
     path, part = _names(variant, seed, folder)
     scenes, preset, parts = experiment.scenes(variant, seed), experiment.preset, Parts(folder)
     before = parts.read(part) if parts.has(part) else pd.DataFrame({"seed": []})
@@ -282,7 +288,7 @@ def _processor_time(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
 def _write_manifest(
     experiment: Reproduction, variants: Sequence[Variant], left_out: dict[str, str], folder: Path, seconds: float
 ) -> None:
-    """What made the whole, with the hash of each model file."""
+    """Write the manifest of the whole experiment, with the hash of each model file."""
     parts = Parts(folder)
     names = [_names(variant, seed, folder)[1] for variant in variants for seed in range(experiment.seeds)]
     records = [record for name in names if (record := parts.record(name)) is not None]

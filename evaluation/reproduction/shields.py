@@ -1,4 +1,4 @@
-"""Which shields are compared on which roads: the bundled model of a road, and what stands between the two."""
+"""Shields to compare on each road: the road's bundled model, and the variant of the shield."""
 
 from __future__ import annotations
 
@@ -31,8 +31,9 @@ class Road:
 
     Attributes
     ----------
-    name, setting, policy : of the road; the model's name.
-    baselines : whether the policies that look at nothing have their rows here.
+    name, setting : name and environment.
+    policy : name of the model.
+    baselines : whether the road has rows of the policies without observations.
     """
 
     name: str
@@ -55,7 +56,7 @@ ROADS: Mapping[str, Road] = MappingProxyType(
         )
     }
 )
-"""By name; the two agents of ABZ drive on the same road, whose baselines stand once."""
+"""Roads by name. Both ABZ agents drive on the same road, which has the rows of the baselines once."""
 
 BASELINES: Mapping[str, str] = MappingProxyType(
     {
@@ -65,7 +66,7 @@ BASELINES: Mapping[str, str] = MappingProxyType(
         "stopped": "a car that stops, no shield",
     }
 )
-"""Policies that look at nothing, by name."""
+"""Policies that ignore observations, by name."""
 
 SHIELDS: Mapping[str, str] = MappingProxyType(
     {
@@ -80,7 +81,7 @@ SHIELDS: Mapping[str, str] = MappingProxyType(
         **BASELINES,
     }
 )
-"""Rows, by name."""
+"""Rows of the table, by name."""
 
 _TTC_DECISIONS = 4
 _STOPPING = [0, 15, 30]
@@ -93,16 +94,16 @@ MOST: Mapping[tuple[str, str], int] = MappingProxyType(
         ("racetrack", "simulated"): 20,
     }
 )
-"""Episodes at most, by road and row, where an episode takes 0.2 to 20 CPU seconds."""
+"""Largest number of episodes, by road and row, if an episode takes 0.2 to 20 CPU seconds."""
 
 
 def variant_on(road: Road, shield: str) -> Variant:
-    """What stands between the policy and a road in a row of `SHIELDS`.
+    """The variant of the shield in a row of `SHIELDS` on a road.
 
     Raises
     ------
     ConfigError
-        If there is no such shield on that road.
+        If the road does not support that shield.
     """
     if shield == "none" or shield in BASELINES:
         return Variant()
@@ -127,7 +128,7 @@ def driven_on(road: Road, shield: str) -> tuple[Setting, str]:
     Raises
     ------
     ConfigError
-        If there is no such baseline on that road.
+        If the road does not support that baseline.
     """
     if shield not in BASELINES:
         return road.setting, road.policy
@@ -152,5 +153,5 @@ def _configuration(setting: Setting) -> Mapping[str, Any]:
 
 
 def rows_of(road: Road, shields: Iterable[str]) -> list[str]:
-    """Those of `shields` that have a row on a road."""
+    """The rows of `shields` that a road has."""
     return [each for each in shields if road.baselines or each not in BASELINES]

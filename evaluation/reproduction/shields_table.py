@@ -1,6 +1,6 @@
-"""Shields side by side: the same models and seeds on every road, behind one shield after the other.
+"""Comparison of shields: the same models and seeds on every road, with one shield after the other.
 
-All rows are in one store of episodes (`evaluation.running.store`), which goes on where it was stopped.
+All rows are in one store of episodes (`evaluation.running.store`), which a stopped run continues.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from shield.errors import ConfigError, SceneError
 __all__ = ["FIRST_SEED", "PUBLISHED_SHIELDS", "compare_shields"]
 
 FIRST_SEED = 1_720_000
-"""Of the episodes; the same in every part."""
+"""Seed of the first episode, the same in every part."""
 
 PUBLISHED_SHIELDS: tuple[str, ...] = (
     "ABZ 2025 (time to collision over 4 steps, down the policy's ranking; 3 lanes, 1,000 runs): crashes 38 → 0 of the "
@@ -38,7 +38,7 @@ PUBLISHED_SHIELDS: tuple[str, ...] = (
     "overridden; bare 51.2 % at 24.0 m/s.",
     "CPSS (arXiv 2605.18841; DQN on merge, highway, intersection, racetrack): mean collision rate 0.0822 → 0.0069.",
 )
-"""What others report of theirs, in settings of their own."""
+"""Published results of other shields, in their own settings."""
 
 
 def compare_shields(
@@ -49,12 +49,15 @@ def compare_shields(
     jobs: int = 1,
     tell: Callable[[str], None] | None = None,
 ) -> str:
-    """Drive whatever is not in the folder yet, a store of episodes; write table.md there.
+    """Drive the episodes that are not in the folder yet, and write table.md there.
 
     Parameters
     ----------
-    folder : the store. episodes : of each part. roads, shields : by name; all by default.
-    jobs : processes; -1 for one per core. tell : called with a line after each part.
+    folder : folder of the store of episodes.
+    episodes : episodes of each part.
+    roads, shields : names; all by default.
+    jobs : processes; -1 for one per core.
+    tell : called with a line after each part.
 
     Returns
     -------
@@ -98,7 +101,7 @@ def compare_shields(
 
 @dataclass(frozen=True)
 class _Part:
-    """One row on one road: what is driven there."""
+    """One row on one road: its environment, policy, variant and seeds."""
 
     road: str
     shield: str
@@ -113,7 +116,7 @@ class _Part:
 
 
 def _parts(roads: Iterable[Road], shields: Iterable[str], episodes: int) -> tuple[list[_Part], dict[str, str]]:
-    """The rows of each road, and why those that it refuses are none."""
+    """The rows of each road, and for unsupported rows the reason."""
     parts, refused = [], dict[str, str]()
     for road in roads:
         for shield in rows_of(road, shields):
@@ -128,8 +131,10 @@ def _parts(roads: Iterable[Road], shields: Iterable[str], episodes: int) -> tupl
 
 
 def _identity(parts: Iterable[_Part], episodes: int, refused: dict[str, str]) -> tuple[dict[str, Any], dict[str, str]]:
-    """What determines the rows, and the hash of each model file (see `Store`); parts that cannot be driven are added to
-    those that are refused."""
+    """The values that determine the rows, and the hash of each model file (see `Store`).
+
+    Parts that cannot be driven are added to `refused`.
+    """
     asked: dict[str, Any] = {**{key: {} for key in SECTIONS}, "seed": FIRST_SEED, "episodes": episodes}
     models, tried = dict[str, str](), dict[tuple[str, str], dict[str, Any]]()
     for part in parts:

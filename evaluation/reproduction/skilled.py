@@ -1,4 +1,4 @@
-"""Skills of many environments at once: which primitive action comes next in each, and when a skill is over."""
+"""Skills in a batch of environments: the next primitive action of each, and the end of a skill."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ __all__ = ["SkillRun"]
 
 
 class SkillRun:
-    """The skill that each environment of a batch carries out.
+    """The present skill of each environment of a batch.
 
-    A skill ends with its last action; where the report's are interrupted, as soon as somebody is shown near; and where
-    the shield interrupts them, after the primitive step that it overrode. `evaluation.wrappers.Skills` does the same
-    for one environment.
+    A skill ends with its last action. If the report's skills are interruptible, a skill also ends as soon as a vehicle
+    is shown near. If the shield interrupts skills, a skill ends after a primitive step that was overridden.
+    `evaluation.wrappers.Skills` does the same for one environment.
 
     Parameters
     ----------
@@ -33,15 +33,15 @@ class SkillRun:
 
     @property
     def over(self) -> BoolArray:
-        """Where no skill is going on, (e,)."""
+        """Environments without a present skill, (e,)."""
         return self._progress.over
 
     def begin(self, e: int) -> None:
-        """An episode begins: no skill is going on."""
+        """Clear the skill of an environment for a new episode."""
         self._progress.over[e] = True
 
     def choose(self, skills: IntArray) -> None:
-        """Begin these (e,) wherever the one before is over; the others go on."""
+        """Begin these skills (e,) in environments without one; the other skills continue."""
         batch = self._batch
         chosen, self.gated = np.asarray(skills, np.intp), np.zeros(len(skills), np.bool_)
         if batch.variant.report_skills and not batch.preset.interrupted:
@@ -51,11 +51,11 @@ class SkillRun:
 
     @property
     def primitive(self) -> IntArray:
-        """The next action of each, (e,)."""
+        """The next primitive action of each environment, (e,)."""
         return self._progress.primitive
 
     def step(self) -> None:
-        """After a primitive step of the batch: see which skills are over."""
+        """Update the skills after a primitive step of the batch."""
         batch = self._batch
         self._progress.advance()
         if not batch.variant.report_skills:

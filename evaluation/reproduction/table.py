@@ -1,4 +1,4 @@
-"""The table of the report's experiment: what was published beside what was measured."""
+"""The table of the report's experiment: published beside measured values."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["groups_of", "summary", "table"]
 
 
 def groups_of(rows: pd.DataFrame, column: str) -> list[FloatArray]:
-    """A column of one variant's episodes, by training seed; in one group where nothing is trained."""
+    """A column of one variant's episodes, by training seed; in one group for variants without training."""
     values = rows[column].astype(float)
     if VARIANTS[rows["variant"].iloc[0]].learner in ("", "cem"):
         return [values.to_numpy()]
@@ -25,9 +25,9 @@ def groups_of(rows: pd.DataFrame, column: str) -> list[FloatArray]:
 def summary(episodes: pd.DataFrame) -> pd.DataFrame:
     """A row for each variant, in the order of the table, with 95 % intervals.
 
-    `crash_rate` has Wilson's interval, of these models, and `crash_rate_nested` that over training seeds and episodes;
-    `return` and `iqm`, the interquartile mean of the returns, have the latter. `crash_rates` and `returns` are those
-    of each training seed. Shares are of the policy's decisions (`slow`), and of primitive steps.
+    `crash_rate` has Wilson's interval, for these models. `crash_rate_nested` has the interval over training seeds and
+    episodes, and so have `return` and `iqm`, the interquartile mean of the returns. `crash_rates` and `returns` are
+    those of each training seed. `slow` is a share of the policy's decisions, the other shares are of primitive steps.
     """
     found = []
     for name in (each for each in VARIANTS if each in set(episodes["variant"])):

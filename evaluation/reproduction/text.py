@@ -1,4 +1,4 @@
-"""What the text of the report says, where its script computes something else (see `evaluation.reproduction.script`)."""
+"""Formulas of the report's text where its script differs (see `evaluation.reproduction.script`)."""
 
 from __future__ import annotations
 
@@ -27,13 +27,14 @@ _LEFT, _RIGHT, _SLOWER = 0, 2, 4
 
 @dataclass(frozen=True)
 class Scale:
-    """What 1 stands for in an observation.
+    """Scale of an observation: the quantity that a value of 1 stands for.
 
     Attributes
     ----------
-    x, y : [m]. speed : of vx and vy [m/s].
-    relative : whether the others' rows are relative to the ego's, and x is along the road. Else "along the road" is
-        the distance between centres, as the road is round.
+    x, y : position [m].
+    speed : vx and vy [m/s].
+    relative : whether the others' rows are relative to the ego's, and x is along the road. Otherwise the distance along
+        the road is that of the centres, because the road is round.
     """
 
     x: float
@@ -42,24 +43,26 @@ class Scale:
     relative: bool
 
     def offsets(self, rows: NDArray[Any]) -> tuple[FloatArray, FloatArray]:
-        """x and y of the others against the ego [m], (..., n - 1) each."""
+        """x and y of the others relative to the ego [m], (..., n - 1) each."""
         shown = np.asarray(rows[..., 1:3], float)
         others = shown[..., 1:, :] if self.relative else shown[..., 1:, :] - shown[..., :1, :]
         return self.x * others[..., 0], self.y * others[..., 1]
 
 
 HIGHWAY = Scale(200.0, 16.0, 80.0, True)
-"""highway-env's highway of four lanes."""
+"""Scale of highway-env's highway of four lanes."""
 ROUNDABOUT = Scale(100.0, 100.0, 15.0, False)
-"""highway-env's roundabout."""
+"""Scale of highway-env's roundabout."""
 
 
 def noise_on_others(rows: NDArray[np.float32], draws: FloatArray, sigma: float) -> NDArray[np.float32]:
-    """Add noise to x, y, vx and vy of the others that are present.
+    """Add noise to x, y, vx and vy of the other vehicles that are present.
 
     Parameters
     ----------
-    rows : (..., n, 5), normalised. draws : (..., n, 4). sigma : in normalised units.
+    rows : normalised observations, (..., n, 5).
+    draws : samples of a standard normal distribution, (..., n, 4).
+    sigma : standard deviation in normalised units.
     """
     shown = rows.copy()
     present = rows[..., :1] > 0
@@ -69,8 +72,11 @@ def noise_on_others(rows: NDArray[np.float32], draws: FloatArray, sigma: float) 
 
 
 def intent_in_metres(rows: NDArray[Any], threshold: float = 0.3, scale: Scale = HIGHWAY) -> FloatArray:
-    """+1 where somebody moves towards +y, on a highway to the right, by more than `threshold` [m/s], -1 to the other
-    side, else 0, and 0 in an absent row; (..., n)."""
+    """+1 for a motion towards +y (on a highway to the right) of more than `threshold` [m/s], -1 for the opposite, else
+    0.
+
+    The shape is (..., n); an absent row has 0.
+    """
     vy = scale.speed * np.asarray(rows[..., 4], float)
     if scale.relative:
         vy[..., 1:] += vy[..., :1]
@@ -78,24 +84,29 @@ def intent_in_metres(rows: NDArray[Any], threshold: float = 0.3, scale: Scale = 
 
 
 class ConfidenceOverTime:
-    """exp(-Var) of each row, where Var is the sum of the variances of x, y, vx and vy over the last decisions in which
-    the row was not empty: `evaluation.wrappers.Confidence` for many environments at once.
+    """exp(-Var) of each row, for a batch; `evaluation.wrappers.Confidence` is the same for one environment.
+
+    Var is the sum of the variances of x, y, vx and vy over the last decisions in which the row was not empty.
 
     Parameters
     ----------
-    envs : environments. rows : of an observation. window : decisions.
+    envs : number of environments.
+    rows : number of rows of an observation.
+    window : number of decisions.
     """
 
     def __init__(self, envs: int, rows: int, window: int = 5) -> None:
         self._past = np.full((window, envs, rows, 4), np.nan)
 
     def begin(self, e: int) -> None:
-        """Forget what was shown in an environment."""
+        """Forget the past observations of an environment."""
         self._past[:, e] = np.nan
 
     def add(self, rows: NDArray[Any], which: IntArray) -> FloatArray:
-        """The confidence of each row, (k, n), with what is shown now in the environments `which` (k,), (k, n, 5); 0 in
-        an absent row."""
+        """Add observations (k, n, 5) of the environments `which` (k,), and return the confidence of each row, (k, n).
+
+        An absent row has 0.
+        """
         there = rows[..., :1] > 0
         self._past[:-1, which] = self._past[1:, which]
         self._past[-1, which] = np.where(there, rows[..., _STATE], np.nan)
@@ -110,8 +121,12 @@ class ConfidenceOverTime:
 def override_lane_changes(
     rows: NDArray[Any], actions: IntArray, distance: float, scale: Scale = HIGHWAY
 ) -> tuple[IntArray, BoolArray]:
-    """SLOWER in place of a lane change while somebody is nearer along the road than `distance` [m], and whether it took
-    its place, (...,)."""
+    """Replace lane changes by SLOWER while a vehicle is nearer along the road than `distance` [m].
+
+    Returns
+    -------
+    The actions, and whether each was replaced, (...,).
+    """
     x, y = scale.offsets(rows)
     along = np.where(rows[..., 1:, 0] > 0, np.abs(x) if scale.relative else np.hypot(x, y), np.inf)
     acts = ((actions == _LEFT) | (actions == _RIGHT)) & (along.min(axis=-1) < distance)
@@ -119,7 +134,7 @@ def override_lane_changes(
 
 
 def somebody_near(rows: NDArray[Any], distance: float, scale: Scale = HIGHWAY) -> BoolArray:
-    """Whether anybody is shown nearer to the ego than `distance` [m], (...,)."""
+    """Whether a vehicle is shown nearer to the ego than `distance` [m], (...,)."""
     x, y = scale.offsets(rows)
     apart = np.where(rows[..., 1:, 0] > 0, np.hypot(x, y), np.inf)
     return np.asarray(apart.min(axis=-1) < distance)

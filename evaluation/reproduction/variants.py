@@ -1,4 +1,4 @@
-"""What is compared in the report's experiment on the highway: its own rows, baselines, and this project's."""
+"""Variants in the report's experiments: its own rows, baselines, and this project's."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ class Variant:
 
     Attributes
     ----------
-    name, label : in a word, and as the table has it.
-    action : of a baseline, the index of its only meta-action; None for a learner.
-    learner : the algorithm, as of `evaluation.learning.algorithms`; "" for a baseline, "cem" for a planner.
-    model : the variant whose model drives, where it is another's.
+    name, label : name, and label in the table.
+    action : index of a baseline's only meta-action; None for a learner.
+    learner : the algorithm, as in `evaluation.learning.algorithms`; "" for a baseline, "cem" for a planner.
+    model : the variant with the model that drives, if it is another variant.
     noise, confidence, intent : whether the observation has it.
-    override : which rule of the report's replaces actions: "preset", the one of the preset, "distance", that of the
+    override : rule of the report that replaces actions: "preset" for the one of the preset, "distance" for that of the
         text; or "".
     skills : whether the policy chooses skills.
-    report_skills : whether they end or are gated as the report has it; else the shield's override ends them.
+    report_skills : whether skills end or are gated by the report's rule; otherwise the shield's override ends them.
     shield : "", "env" for `ShieldedEnv` or "actions" for `Shield` with `frames=False`.
-    observed : whether the shield reads observations alone.
-    penalty : what an overridden decision costs in training.
+    observed : whether the shield reads observations only.
+    penalty : override penalty in training.
     masks : whether the policy chooses among actions that verify.
     stops : whether the lowest target speed is 0.
-    default_road : whether it is driven in highway-env's roundabout as it comes.
+    default_road : whether it drives in highway-env's roundabout with its default configuration.
     """
 
     name: str
@@ -60,11 +60,11 @@ class Variant:
 
     @property
     def pooled(self) -> bool:
-        """Whether its episodes are driven one by one, and so are fewer."""
+        """Whether its episodes are driven one at a time, and so are fewer."""
         return self.observed or self.learner == "cem"
 
     def told(self) -> dict[str, Any]:
-        """As plain values."""
+        """The variant as plain values."""
         plain = asdict(self)
         return plain if self.default_road else {name: x for name, x in plain.items() if name != "default_road"}
 
@@ -72,7 +72,7 @@ class Variant:
 _SEEN: dict[str, Any] = {"learner": "ppo", "noise": True, "confidence": True}
 _INSIDE: dict[str, Any] = {**_SEEN, "shield": "env"}
 PENALTY = 0.2
-"""Of an override; a decision brings at most 1."""
+"""Override penalty; the reward of a decision is at most 1."""
 
 VARIANTS: Mapping[str, Variant] = MappingProxyType(
     {
@@ -126,17 +126,18 @@ VARIANTS: Mapping[str, Variant] = MappingProxyType(
         )
     }
 )
-"""By name, in the order of the table."""
+"""Variants by name, in the order of the table."""
 
 
 def get_variants(names: Iterable[str] = (), road: str = "highway") -> list[Variant]:
-    """Variants by name, in the order of the table; by default all of those of a road, "highway" or "roundabout", and
-    with one those whose model drives it.
+    """Variants by name, in the order of the table, with the variants of their models.
+
+    By default all variants of a road, "highway" or "roundabout".
 
     Raises
     ------
     ConfigError
-        That lists those that there are.
+        With the valid names.
     """
     asked = list(names) or [each.name for each in VARIANTS.values() if road == "roundabout" or not each.default_road]
     for name in asked:

@@ -1,4 +1,4 @@
-"""Whether each claim of the report holds at these counts, and whether this project's own figures are reached."""
+"""Verdicts: whether each claim of the report holds at these counts, and whether this project's figures are reached."""
 
 from __future__ import annotations
 
@@ -19,13 +19,15 @@ __all__ = ["Verdict", "judge", "told"]
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """One claim.
+    """Verdict on one claim.
 
     Attributes
     ----------
-    name : in a word. kind : "report", what it says; "compatible", whether its 10 episodes could have been drawn from
-        what was measured here; "figure", of this project.
-    holds : whether it does. sentence : that in words, with the numbers.
+    name : name of the claim.
+    kind : "report" for a claim of the report; "compatible" for the claim that its 10 episodes agree with the rate
+        measured here; "figure" for a figure of this project.
+    holds : whether the claim holds.
+    sentence : the claim and the numbers.
     """
 
     name: str
@@ -34,7 +36,7 @@ class Verdict:
     sentence: str
 
     def plain(self) -> dict[str, Any]:
-        """As plain values."""
+        """The verdict as plain values."""
         return asdict(self)
 
 
@@ -81,10 +83,10 @@ _INSIDE = ("skills-inside", "skills-inside-observed")
 
 
 def judge(episodes: pd.DataFrame) -> list[Verdict]:
-    """All claims about the variants that were driven.
+    """Verdicts on all claims about the variants in a table of episodes.
 
-    A claim that one variant has more of something holds where the 95 % interval of the difference, over training seeds
-    and episodes of the same scenes, is above 0.
+    A claim that one variant has more than another holds if the 95 % interval of the difference is above 0. The interval
+    is over training seeds and episodes of the same scenes.
     """
     found = {row["variant"]: row for row in summary(episodes).to_dict("records")}
     published = published_for(str(episodes["preset"].iloc[0]))
@@ -103,7 +105,7 @@ def told(verdicts: list[Verdict]) -> str:
 
 
 def _difference(episodes: pd.DataFrame, column: str, more: str, less: str) -> Interval:
-    """Of the means of two variants in the same scenes."""
+    """Difference of the means of two variants in the same scenes."""
     keys = ["training_seed", "seed"]
     one, two = (episodes[episodes["variant"] == each].set_index(keys)[column].astype(float) for each in (more, less))
     both = (one - two).dropna()

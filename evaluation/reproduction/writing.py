@@ -1,4 +1,4 @@
-"""What an experiment leaves in its folder: episodes, table and verdict."""
+"""Files of an experiment: episodes, table and verdict."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gymnasium wrappers around any environment of highway-env: observations, rewards, the way back, and a log."""
+"""Gymnasium wrappers for environments of highway-env: observations, rewards, re-entry to the road, and a log."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""Columns that are added to a Kinematics observation: how much a row is to be believed, and what somebody is about to
-do.
+"""Channels: columns that are added to a Kinematics observation, with the confidence or the intent of each row.
 
-Each is added at the end of every row, after highway-env's features; an empty row has 0. They compose with each other
-and with `SensorNoise`: what is added is computed from what is shown.
+A channel is added at the end of every row, after highway-env's features; an empty row has 0. Channels compose with each
+other and with `SensorNoise`: they are computed from the observation that the sensor returns.
 """
 
 from __future__ import annotations
@@ -30,11 +29,11 @@ __all__ = ["CHANNELS", "Confidence", "Intent", "TrackedConfidence", "seen_throug
 
 
 class _Channel(gym.ObservationWrapper[Any, Any, Any]):
-    """A column more.
+    """Base class of a channel, which adds one column.
 
     Attributes
     ----------
-    added_features : its name. A shield that reads observations looks below whatever has this attribute.
+    added_features : name of the column. A shield that reads observations uses the environment below this wrapper.
     """
 
     added_features: ClassVar[tuple[str, ...]] = ()
@@ -57,7 +56,7 @@ class _Channel(gym.ObservationWrapper[Any, Any, Any]):
         self.spec_shown = ObservationSpec(features=tuple(kind.features), rows=int(kind.vehicles_count), ranges={})
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset the environment, and forget what was shown."""
+        """Reset the environment, and forget past observations."""
         observation, info = self.env.reset(seed=seed, options=options)
         self.spec_shown = ObservationSpec.of(self.unwrapped)
         self._forget()
@@ -71,14 +70,14 @@ class _Channel(gym.ObservationWrapper[Any, Any, Any]):
         return np.column_stack([rows, column]).astype(rows.dtype)
 
     def _forget(self) -> None:
-        """Begin an episode."""
+        """Prepare for a new episode."""
 
     def _column(self, rows: Any, there: BoolArray) -> FloatArray:
-        """What is added to each row, (rows,); of no matter where nobody is `there`."""
+        """Value of the column for each row, (rows,); ignored where no vehicle is `there`."""
         raise NotImplementedError
 
     def _shown(self, rows: Any) -> FloatArray:
-        """x, y, vx and vy as they are shown, (rows, 4)."""
+        """x, y, vx and vy of the observation, (rows, 4)."""
         columns = [self.spec_shown.features.index(name) for name in STATE]
         return np.asarray(rows[:, columns], dtype=float)
 
@@ -86,14 +85,14 @@ class _Channel(gym.ObservationWrapper[Any, Any, Any]):
 class Confidence(_Channel):
     """Adds "confidence", exp(-Var(x, y, vx, vy)) of each row.
 
-    Var is the sum over the four features of the variance, of the population, of what was shown in this row at the last
-    `window` decisions at which it was not empty, in the observation's own units. A row is a place in the observation
-    and nobody in particular: where rows are re-sorted, that varies too. A row that has just been filled has 1.
+    Var is the sum over the four features of the population variance of the row's values in the last `window` decisions
+    in which it was not empty, in the observation's own units. A row is a place in the observation, not a vehicle: if
+    rows are sorted anew, its values change too. A row that has just been filled has 1.
 
     Parameters
     ----------
     env : an environment of highway-env with a Kinematics observation, wrapped or not.
-    window : decisions.
+    window : number of decisions.
 
     Examples
     --------
@@ -131,21 +130,21 @@ class Confidence(_Channel):
 
 
 class TrackedConfidence(_Channel):
-    """Adds "confidence", a probability: that the centre of the vehicle in a row was, when it was seen, no further than
-    `distance` from where a tracker takes it to have been (`shield.perception.certainty.within`). The ego's row has 1.
+    """Adds "confidence", a probability for the vehicle in each row.
 
-    The tracker is that of a shield that reads observations, once for each decision; it counts on the noise that the
-    sensor says of itself.
+    It is the probability that the vehicle's centre, at the time of the observation, was at most `distance` from the
+    tracker's estimate (`shield.perception.certainty.within`). The ego's row has 1. The tracker is that of a shield that
+    reads observations, updated once for each decision. It assumes the noise of the sensor's own model.
 
     Parameters
     ----------
     env : a straight highway with a Kinematics observation of sorted rows, wrapped or not.
-    distance : [m].
+    distance : largest error of the estimate [m].
 
     Raises
     ------
     ConfigError
-        If the rows are shuffled: then nobody knows which row is whom.
+        If the rows are shuffled, because rows then have no fixed vehicle.
     """
 
     added_features = ("confidence",)
@@ -163,7 +162,7 @@ class TrackedConfidence(_Channel):
     def _column(self, rows: Any, there: BoolArray) -> FloatArray:
         self._scenes.show(rows)
         self._scenes.read()
-        # Of Kinematics: a channel refuses anything else.
+        # The perception is that of Kinematics: a channel accepts no other observation.
         tracks, column = cast(ObservationPerception, self._scenes.perception).tracks, np.zeros(len(rows))
         seen = tracks.missed == 0
         column[tracks.places[seen].astype(int)] = within(tracks, self._distance)[seen]
@@ -172,14 +171,14 @@ class TrackedConfidence(_Channel):
 
 
 class Intent(_Channel):
-    """Adds "intent": +1 where somebody moves to the right (vy > 0.3 m/s), -1 to the left (vy < -0.3 m/s), 0 otherwise.
+    """Adds "intent": +1 for motion to the right (vy > 0.3 m/s), -1 to the left (vy < -0.3 m/s), 0 otherwise.
 
-    vy is found by its name, in m/s and of the world: what is normalised or relative to the ego is undone.
+    vy is the feature of that name, converted to m/s in the world frame, without normalisation.
 
     Parameters
     ----------
     env : an environment of highway-env with a Kinematics observation, wrapped or not.
-    threshold : [m/s].
+    threshold : least lateral speed [m/s].
     """
 
     added_features = ("intent",)
@@ -201,16 +200,16 @@ CHANNELS = {"confidence": Confidence, "tracked-confidence": TrackedConfidence, "
 
 
 def split_sensor(name: str) -> tuple[SensorModel, tuple[str, ...]]:
-    """A sensor, and the channels that are added to what it shows, in order.
+    """A sensor and its channels, in order.
 
     Parameters
     ----------
-    name : of one of `SENSORS`, and of `CHANNELS`, with a + before each.
+    name : name of one of `SENSORS`, followed by names of `CHANNELS` with a + before each.
 
     Raises
     ------
     ConfigError
-        That lists those that there are.
+        With the valid names.
     """
     check_sensor(name)
     sensor, *channels = name.split("+")
@@ -218,11 +217,12 @@ def split_sensor(name: str) -> tuple[SensorModel, tuple[str, ...]]:
 
 
 def seen_through(env: gym.Env[Any, Any], name: str) -> gym.Env[Any, Any]:
-    """An environment as it is seen through a sensor with channels, itself where there is neither.
+    """An environment with a sensor and channels; unchanged for the exact sensor without channels.
 
     Parameters
     ----------
-    env : an environment of highway-env. name : as in `split_sensor`.
+    env : an environment of highway-env.
+    name : as in `split_sensor`.
     """
     model, channels = split_sensor(name)
     if model != SensorModel():

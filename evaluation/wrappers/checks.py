@@ -1,4 +1,4 @@
-"""What users hand in: environments and numbers."""
+"""Checks of the user's environments and numbers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["check_highway_env", "check_number"]
 
 
 def check_highway_env(env: Any, wrapper: str) -> None:
-    """Raise a `ConfigError` unless the environment is one of highway-env's, or made as these are."""
+    """Raise a `ConfigError` unless the environment has highway-env's road and vehicles."""
     base = getattr(env, "unwrapped", env)
     if not has_road_and_vehicles(base):
         raise ConfigError(
@@ -23,7 +23,7 @@ def check_highway_env(env: Any, wrapper: str) -> None:
 
 
 def check_number(name: str, value: Any, least: float = -np.inf, above: float = -np.inf) -> None:
-    """Raise a `ConfigError` unless it is a finite number, no less than `least` and more than `above`.
+    """Raise a `ConfigError` unless the value is a finite number, at least `least` and more than `above`.
 
     Examples
     --------

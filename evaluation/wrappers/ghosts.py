@@ -1,4 +1,4 @@
-"""Rows of somebody who is not there."""
+"""False detections: rows of vehicles that do not exist."""
 
 from __future__ import annotations
 
@@ -12,23 +12,24 @@ from shield.perception.spec import STATE, ObservationSpec
 __all__ = ["Ghosts", "in_units"]
 
 _LANE = 4.0
-"""Between the middles of two lanes [m]."""
+"""Distance of the centre lines of two lanes [m]."""
 _SPEEDS = 15.0, 30.0
-"""Ghosts drive along the road, no slower and no faster than this [m/s]."""
+"""Range of speeds of false detections, which move along the road [m/s]."""
 
 
 class Ghosts:
-    """Some who are not there, on a straight highway: each appears at random within the range, anywhere across the road,
-    and drives on for a few frames.
+    """False detections on a straight highway.
+
+    Each appears at a random position within the range and across the road, and moves on for a few frames.
 
     Parameters
     ----------
-    rate : how many appear in a decision in the mean; as many as a Poisson distribution says.
-    lasting : frames that each is shown for.
-    reach : how far ahead of the ego, and behind it, one may be [m].
-    lanes : of the road.
+    rate : mean number of new ones in a decision, with a Poisson distribution.
+    lasting : number of frames for which each is shown.
+    reach : range ahead of the ego and behind it [m].
+    lanes : number of lanes of the road.
     timing : duration of a frame [s], and frames in a decision.
-    rng : what they are drawn by.
+    rng : random generator.
     """
 
     def __init__(
@@ -47,12 +48,12 @@ class Ghosts:
         self._until = np.zeros(0, np.intp)
 
     def at(self, frame: int, ego_speed: float) -> FloatArray:
-        """Who appears to be there: x ahead of the ego, y in the world [m], vx, vy [m/s], (n, 4).
+        """States of the false detections: x ahead of the ego, y in the world frame [m], vx, vy [m/s], (n, 4).
 
         Parameters
         ----------
-        frame : simulation frame since the reset; the same one again is the same instant.
-        ego_speed : of the ego along the road since the frame that was asked for before [m/s].
+        frame : simulation frame since the reset; a repeated call for the same frame has the same result.
+        ego_speed : speed of the ego along the road since the frame of the last call [m/s].
         """
         if frame == self._frame:
             return self._states
@@ -69,12 +70,17 @@ class Ghosts:
         return self._states
 
     def shown_in(self, spec: ObservationSpec, shown: Any, ego: FloatArray, frame: int) -> Any:
-        """An observation with them in it: in rows that are empty; where there is none, in place of the last, if that is
-        further away. So the rows still show who is nearest.
+        """Insert the false detections into an observation.
+
+        They take empty rows; without one, they replace the last row if that is farther away. So the rows still hold the
+        nearest vehicles.
 
         Parameters
         ----------
-        shown : what the sensor shows of those who are there, (rows, features). ego : x, y, vx, vy of the ego, (4,).
+        spec : format of the observation.
+        shown : the sensor's observation of real vehicles, (rows, features).
+        ego : x, y, vx, vy of the ego, (4,).
+        frame : simulation frame since the reset.
         """
         column = spec.features.index("x")
         for x, y, vx, vy in self.at(frame, float(ego[2])):
@@ -90,13 +96,13 @@ class Ghosts:
 
 
 def in_units(spec: ObservationSpec, name: str, shown: Any) -> Any:
-    """What is shown of a feature in its own unit [m], [m/s]."""
+    """Convert shown values of a feature to its own unit [m], [m/s]."""
     low, high = spec.ranges.get(name, (-1.0, 1.0))  # type: ignore[union-attr]
     return low + (shown + 1.0) * (high - low) / 2.0
 
 
 def _shown(spec: ObservationSpec, name: str, value: float) -> float:
-    """The other way round."""
+    """Convert a value of a feature to the observation's units; the inverse of `in_units`."""
     if name not in spec.ranges:  # type: ignore[operator]
         return value
     low, high = spec.ranges[name]  # type: ignore[index]

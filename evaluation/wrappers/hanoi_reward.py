@@ -1,6 +1,6 @@
-"""The terms of HanoiWorld's reward (Dat et al. 2026): collision, safe distance, lane change, heading, survival.
+"""Reward with the terms of HanoiWorld (Dat et al. 2026): collision, safe distance, lane change, heading, survival.
 
-The terms are those that it names; the formulas below and the default weights are ours.
+The terms are those named in the paper; the formulas below and the default weights are this library's.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ __all__ = ["HanoiWeights", "HanoiWorldReward"]
 
 @dataclass(frozen=True, slots=True)
 class HanoiWeights:
-    """What each term is multiplied by, and two times that define them.
+    """Weights of the terms, and parameters of their definition.
 
     Attributes
     ----------
     collision : 1 in a crash.
-    safe_distance : the part of the safe gap to the vehicle ahead on the same lane that is missing, 0 to 1.
+    safe_distance : missing share of the safe gap to the vehicle ahead on the same lane, 0 to 1.
     lane_change : 1 in a decision after which the ego is on another lane of the same road.
-    heading : cosine of the heading off the lane's.
+    heading : cosine of the heading relative to the lane.
     survival : 1 in a decision without a crash.
-    time_gap : the safe gap is the way driven in this time [s], and `standstill`.
+    time_gap : the safe gap is the distance driven in this time [s], plus `standstill`.
     standstill : safe gap at a standstill [m].
 
     Raises
     ------
     ConfigError
-        If a value is not finite, or a gap negative.
+        If a value is not finite, or a gap is negative.
     """
 
     collision: float = -1.0
@@ -52,7 +52,7 @@ class HanoiWeights:
 
 
 class HanoiWorldReward(gym.Wrapper[Any, Any, Any, Any]):
-    """Rewards by the weighted sum of the terms of `HanoiWeights`; `info["hanoi_terms"]` has each of them unweighted.
+    """Rewards by the weighted sum of the terms of `HanoiWeights`; `info["hanoi_terms"]` has each unweighted term.
 
     Parameters
     ----------
@@ -76,13 +76,13 @@ class HanoiWorldReward(gym.Wrapper[Any, Any, Any, Any]):
         self._lane: tuple[str, str, int] | None = None
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
-        """As the environment's."""
+        """Reset the environment."""
         result = self.env.reset(**kwargs)
         self._lane = self.unwrapped.vehicle.lane_index  # type: ignore[attr-defined]
         return result
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """As the environment's, with the other reward."""
+        """Step the environment, with this reward."""
         observation, _, terminated, truncated, info = self.env.step(action)
         base: Any = self.unwrapped
         lane, before = base.vehicle.lane_index, self._lane
@@ -101,7 +101,7 @@ class HanoiWorldReward(gym.Wrapper[Any, Any, Any, Any]):
 
 
 def _missing_gap(base: Any, weights: HanoiWeights) -> float:
-    """The part of the safe gap that is missing, 0 with nobody ahead."""
+    """Missing share of the safe gap; 0 without a vehicle ahead."""
     ego = base.vehicle
     ahead, _ = base.road.neighbour_vehicles(ego)
     safe = weights.standstill + weights.time_gap * max(float(ego.speed), 0.0)

@@ -1,4 +1,4 @@
-"""What leaving the road costs, and the way back."""
+"""Penalty for leaving the road, and re-entry."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ __all__ = ["OffRoadWrapper"]
 class OffRoadWrapper(gym.Wrapper[Any, Any, Any, Any]):
     """Takes a penalty from the reward of each decision that ends off the road, and puts the ego back.
 
-    It comes back to the middle of its nearest lane, with the lane's heading and its own speed, and the observation is
-    that of where it then is. A decision that ends the episode is penalised and leaves it where it is. Each `info` says
-    whether the ego was "off_road", and whether it has "re_entered". Nobody leaves a parking lot.
+    The ego returns to the centre line of its nearest lane, with the lane's heading and its own speed. The observation
+    is the one after re-entry. A decision that ends the episode is penalised without re-entry. `info` contains
+    "off_road" and "re_entered". On a parking lot the ego is never off the road.
 
     Parameters
     ----------
     env : an environment of highway-env, without a wrapper in between that changes its observations.
-    penalty : what is taken, 0 or more.
+    penalty : deduction from the reward, 0 or more.
     re_entry : whether the ego is put back.
 
     Raises
@@ -54,12 +54,12 @@ class OffRoadWrapper(gym.Wrapper[Any, Any, Any, Any]):
         self.penalty, self.re_entry = float(penalty), bool(re_entry)
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:
-        """As the environment's; nobody begins off the road."""
+        """Reset the environment; the ego begins on the road."""
         observation, info = self.env.reset(**kwargs)
         return observation, {**info, "off_road": False, "re_entered": False}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """As the environment's, with the penalty and the way back."""
+        """Step the environment, with the penalty and re-entry."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         base: Any = self.unwrapped
         off_road = is_off_road(base)

@@ -1,6 +1,7 @@
-"""The multiplicative reward of Dong et al. 2023: fast, along the lane and in its middle, all at once.
+"""The multiplicative reward of Dong et al. 2023 for speed, heading along the lane, and distance to its centre line.
 
-Notation: d is the distance to the middle of the lane [m], psi the heading off the lane's [rad], v the speed [m/s].
+Notation: d is the distance to the centre line of the lane [m], psi the heading relative to the lane [rad], v the speed
+[m/s].
 """
 
 from __future__ import annotations
@@ -21,15 +22,15 @@ __all__ = ["OnLane", "OnLaneReward", "on_lane_reward"]
 
 @dataclass(frozen=True, slots=True)
 class OnLane:
-    """What the reward is made of: (cos psi)^a (v / V)^b / max(D, |d|)^c for v > 0, else 0.
+    """Parameters of the reward: (cos psi)^a (v / V)^b / max(D, |d|)^c for v > 0, else 0.
 
-    The defaults are what the code of Dong et al. 2023 computes, cos(psi) v / max(1, |d|) / 20 and -10 in a crash.
+    The defaults are those of the code of Dong et al. 2023, cos(psi) v / max(1, |d|) / 20 and -10 in a crash.
 
     Attributes
     ----------
-    crash : the reward of a decision in which the ego has crashed, instead of all else.
+    crash : reward of a decision in which the ego has crashed, instead of the formula.
     speed_scale : V, positive [m/s].
-    distance_floor : D, positive: closer to the middle than this makes no difference [m].
+    distance_floor : D, positive; smaller distances have no effect [m].
     heading_exponent, speed_exponent, distance_exponent : a, b and c, from 0 on; a negative cosine keeps its sign.
 
     Raises
@@ -53,7 +54,7 @@ class OnLane:
 
     @classmethod
     def of(cls, options: Any) -> OnLane:
-        """From a mapping; a `ConfigError` that lists the options where it names another."""
+        """Make the parameters from a mapping; raises a `ConfigError` with the valid names for an unknown one."""
         valid = [field.name for field in fields(cls)]
         if not isinstance(options, Mapping):
             raise ConfigError(f"options of the reward map {', '.join(valid)} to numbers, not {options!r}")
@@ -68,10 +69,10 @@ def on_lane_reward(offset: LaneOffset, speed: float, crashed: bool, terms: OnLan
 
     Parameters
     ----------
-    offset : where the ego is on its lane.
-    speed : of the ego [m/s].
-    crashed : whether it has crashed.
-    terms : options; the paper's by default.
+    offset : position and heading of the ego relative to its lane.
+    speed : speed of the ego [m/s].
+    crashed : whether the ego has crashed.
+    terms : parameters; the paper's by default.
 
     Examples
     --------
@@ -97,7 +98,7 @@ class OnLaneReward(gym.Wrapper[Any, Any, Any, Any]):
     Parameters
     ----------
     env : an environment of highway-env.
-    terms : options; the paper's by default.
+    terms : parameters; the paper's by default.
 
     Examples
     --------
@@ -114,7 +115,7 @@ class OnLaneReward(gym.Wrapper[Any, Any, Any, Any]):
         self.terms = terms or OnLane()
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """As the environment's, with the other reward."""
+        """Step the environment, with this reward."""
         observation, _, terminated, truncated, info = self.env.step(action)
         vehicle = self.unwrapped.vehicle  # type: ignore[attr-defined]
         reward = on_lane_reward(lane_offset(vehicle), float(vehicle.speed), bool(vehicle.crashed), self.terms)

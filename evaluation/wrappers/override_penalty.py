@@ -1,4 +1,4 @@
-"""What an overridden decision costs in training."""
+"""Override penalty in training."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ __all__ = ["OverridePenalty", "less_overrides"]
 
 
 def less_overrides(reward: Any, overridden: Any, penalty: float) -> Any:
-    """Rewards less a penalty where the shield overrode.
+    """Rewards less a penalty for overridden steps.
 
     Parameters
     ----------
-    reward : of one step, or of each environment (n,). overridden : whether the shield replaced the action or held a
-        frame back, bool or (n,). penalty : of a step, in units of the reward.
+    reward : reward of one step, or of each environment (n,).
+    overridden : whether the shield replaced the action or held a frame back, bool or (n,).
+    penalty : penalty of a step, in units of the reward.
 
     Examples
     --------
@@ -36,7 +37,8 @@ class OverridePenalty(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     Parameters
     ----------
-    env : a `ShieldedEnv`, or wrappers around one. penalty : of a step, in units of the reward.
+    env : a `ShieldedEnv`, or wrappers around one.
+    penalty : penalty of a step, in units of the reward.
 
     Raises
     ------
@@ -56,7 +58,7 @@ class OverridePenalty(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self.penalty = check_penalty(penalty)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """One step, and its reward less the penalty."""
+        """Execute one step, and deduct the penalty from its reward."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         if "shield" not in info:
             raise ConfigError("OverridePenalty needs info['shield']: put it around a ShieldedEnv")

@@ -1,1 +1,1 @@
-"""What takes the place of a proposal that does not verify."""
+"""Alternatives to a proposal that does not verify."""

@@ -1,16 +1,17 @@
-"""The search for the input nearest to a proposal among those that verify.
+"""Search for the verified input nearest to a proposal.
 
-What verifies is decided by a judge, and nothing leaves that was not judged. The margin is the least of several parts
-(a vehicle each, the lane that is stopped in, the road's edges), and each of them is nearly linear in the input of one
-frame. So the search
+A judge decides which inputs verify, and only judged inputs are returned. The margin is the least of several parts (one
+for each vehicle, the lane of the stop, the edges of the road). Each part is nearly linear in the input of one frame. So
+the search
 
 1. linearises all parts at an input by finite differences of the exact rollouts, goes to the nearest point at which they
-   hold (`mpc.filter.solvers.nearest_point`), and again from there: Newton's method for the boundary's nearest point;
-2. where that has found nothing: tries a fan of inputs between the proposal and braking in a lane, and then
-   rings around the proposal, nearer than the best so far;
-3. sweeps what is nearer than the best so far with points strewn evenly, for what verifies is not convex and need not
-   be in one piece. Where none of them verifies, it goes on from the two best of them as in step 1; from what is found
-   step 1 is repeated, and the rest is swept once more.
+are satisfied (`mpc.filter.solvers.nearest_point`), and repeats this from there: Newton's method for the nearest point
+of the boundary;
+2. if this finds none: tries a fan of inputs between the proposal and braking in a lane, and then rings around the
+proposal, nearer than the best so far;
+3. sweeps the region nearer than the best so far with evenly spread points, since the set of verified inputs is neither
+convex nor always connected. If none of the points verifies, it continues from the best two as in step 1. From an input
+that is found, step 1 is repeated, followed by one more sweep.
 
 Distances are in shares of the actuators' ranges.
 """
@@ -30,17 +31,19 @@ from shield.certificate.road.verify import NOTHING, Binding, Clearance, least_ba
 __all__ = ["Judged", "Search"]
 
 _LINEARISATIONS = 4
+"""Greatest number of linearisations from one starting point."""
 _STEP = 2e-3
 """Step of the finite differences, as a share of the ranges."""
 _INSIDE = 0.003
-"""How far inside of the boundary to aim [m]."""
+"""Distance from the boundary to the interior point that is aimed at [m]."""
 _SETTLED = 5e-3
-"""Change below which nothing nearer is looked for, as a share of the ranges."""
+"""Change below which the search for a nearer input ends, as a share of the ranges."""
 _FAN = np.array([(i, j) for j in (0.0, 0.25, 0.5, 0.75, 1.0) for i in (0.0, 0.25, 0.5, 0.75, 0.9, 1.0)][1:])
-"""Shares of the way from the proposal to braking in a lane: (acceleration, steering)."""
+"""Shares of the distance from the proposal to braking in a lane: (acceleration, steering)."""
 
 
 def _rings(count: int, angles: FloatArray) -> FloatArray:
+    """Points of `_NEARER`: (share of a step, angle [rad]), for `count` - 1 shares and each angle."""
     taken, angle = (x.reshape(-1) for x in np.meshgrid(np.arange(1, count) / count, angles, indexing="ij"))
     return np.stack([taken, angle], axis=1)
 
@@ -50,24 +53,25 @@ _NEARER = (
     (5, _rings(5, np.linspace(-0.4, 0.4, 11))),
     (5, _rings(5, np.linspace(-0.12, 0.12, 11))),
 )
-"""Where nearer inputs are looked for, seen from the proposal: shares of a step that are taken off the distance of the
-best so far, and angles [rad] from it. The first step is the distance itself, the next ones what lies between two rings
-of the last. First all around, for what verifies need not be on the way to the best."""
+"""Places of nearer inputs, as seen from the proposal: shares of a step by which the distance of the best so far is
+reduced, and angles from it [rad]. The first step is the distance itself; each further step is the distance between two
+rings of the last. The first rings cover all directions, since verified inputs need not lie on the way to the best."""
 _NEAR = 0.01
-"""Step below which no nearer input is looked for, as a share of the ranges."""
+"""Step below which the search for a nearer input ends, as a share of the ranges."""
 
 
 _SWEEPS = 2
+"""Greatest number of sweeps."""
 _STREWN = 48
-"""Points of a sweep, at most."""
+"""Greatest number of points of a sweep."""
 _SPACING = 0.02
-"""And their least spacing, as a share of the ranges."""
+"""Least spacing of these points, as a share of the ranges."""
 _APART = 0.15
-"""Least distance between two points that are climbed from, as a share of the ranges."""
+"""Least distance between the two points from which a failed sweep continues, as a share of the ranges."""
 
 
 def _spiral(count: int) -> FloatArray:
-    """Points strewn over a disc, one for each unit of area, (count, 2): Vogel's spiral."""
+    """Points spread over a disc, one for each unit of area, (count, 2): Vogel's spiral."""
     i = np.arange(count) + 0.5
     radius, angle = np.sqrt(i / np.pi), i * (np.pi * (3.0 - np.sqrt(5.0)))
     return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
@@ -78,8 +82,17 @@ _SPIRAL = _spiral(4 * _STREWN)
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """Inputs (n, 2), and the best fail-safe of each: margin [m], frames that stay clear and on the road, lane, path;
-    what the margin is made of (n, parts) [m], where it was asked for; and what tells where one comes from."""
+    """Judged inputs.
+
+    Attributes
+    ----------
+    inputs : acceleration [m/s^2] and front wheel angle [rad], (n, 2).
+    margin : margin of the best fail-safe of each, (n,) [m]. clear : number of frames that stay clear and on the road,
+        (n,).
+    lanes, paths : lane and path of the fail-safe.
+    parts : parts of the margin, (n, parts) [m], if requested.
+    bind : returns the binding clause and vehicle of an input.
+    """
 
     inputs: FloatArray
     margin: FloatArray
@@ -90,7 +103,7 @@ class Judged:
     bind: Callable[[int], Binding] = field(default=lambda _: NOTHING, repr=False)
 
     def row(self, i: int) -> Judged:
-        """One of them."""
+        """The result for input `i` alone."""
         one = slice(i, i + 1)
         bind = self.bind
         rows = self.inputs[one], self.margin[one], self.clear[one], self.lanes[one], self.paths[one]
@@ -98,17 +111,17 @@ class Judged:
 
 
 Judge = Callable[[FloatArray, list[int], bool], Judged]
-"""Judges inputs (n, 2) for stops in the first of some lanes that verifies; with parts or without."""
+"""Judges inputs (n, 2), each for a stop in the first of some lanes for which it verifies; the flag requests the parts
+of the margin."""
 
 
 class Search:
-    """Looks for the nearest input to one proposal.
+    """Searches for the verified input nearest to one proposal.
 
     Parameters
     ----------
-    judge : decides what verifies.
-    proposal : (2,).
-    spans : ranges of the actuators, (2,); zero where there is none.
+    judge : judges inputs.
+    proposal : (2,). spans : ranges of the actuators, (2,); 0 where there is none.
     least, most : bounds of the inputs, (2,).
     """
 
@@ -120,11 +133,11 @@ class Search:
         self._low, self._high = (least - proposal) / self._spans, (most - proposal) / self._spans
 
     def run(self, lanes: list[int], law: FloatArray, every: list[int] | None = None) -> Judged:
-        """The nearest input that was found; if none verifies, the least bad one.
+        """The nearest verified input that was found; if none verifies, the least bad one.
 
         Parameters
         ----------
-        lanes : to stop in, in order of preference.
+        lanes : lanes to stop in, in order of preference.
         law : inputs of braking in the first of them, (2,).
         every : all lanes that a sweep may stop in; `lanes` by default.
         """
@@ -144,7 +157,7 @@ class Search:
         return best
 
     def _sweep(self, lanes: list[int], best: Judged) -> Judged | None:
-        """The nearest of points strewn evenly over what is nearer than the best so far; None where none verifies."""
+        """The nearest verified input among evenly spread points nearer than the best so far; None if none verifies."""
         reach = float(self._distance(best.inputs)[0]) - _SETTLED
         if reach <= 0:
             return None
@@ -161,8 +174,8 @@ class Search:
         return judged.row(self._nearest(judged)) if (judged.margin >= 0).any() else None
 
     def _climb(self, points: FloatArray, judged: Judged, reach: float) -> tuple[list[FloatArray], int]:
-        """Where the linearised parts would hold, seen from the two best of some points that do not verify; and the
-        lane to stop in."""
+        """Points at which the linearised parts would be satisfied, starting from the best two of some points that do
+        not verify; and the lane of the stop."""
         margin = np.nan_to_num(judged.margin, nan=-np.inf)
         first = int(margin.argmax())
         lane = judged.lanes[first]
@@ -172,8 +185,8 @@ class Search:
         return [goal for goal in goals if goal is not None and np.hypot(*goal) < reach], int(lane)
 
     def _goals(self, points: FloatArray, lane: int) -> tuple[Judged, list[FloatArray | None]]:
-        """Points (n, 2), and their neighbours in both directions, judged, (3 n,); and for each the nearest point to the
-        proposal at which the parts of the margin, linearised there, hold, or None."""
+        """Judge points (n, 2) and their neighbours in both directions, (3 n,). For each point, the nearest point to the
+        proposal at which the linearised parts of the margin are satisfied, or None."""
         n = len(points)
         step = np.where(points + _STEP > self._high, -_STEP, _STEP)
         trial = np.concatenate([points, points + step * [1.0, 0.0], points + step * [0.0, 1.0]])
@@ -187,7 +200,8 @@ class Search:
         return judged, goals
 
     def _strewn(self, reach: float) -> FloatArray:
-        """Points (n, 2) within the bounds and nearer than `reach`, in shares of the ranges from the proposal."""
+        """Evenly spread points (n, 2) within the bounds and nearer than `reach`, in shares of the ranges from the
+        proposal."""
         count = min(int(np.pi * (reach / _SPACING) ** 2), len(_SPIRAL))
         while True:
             points = _SPIRAL[:count] * (reach * np.sqrt(np.pi / max(count, 1)))
@@ -198,8 +212,8 @@ class Search:
             count = count * _STREWN // len(points)
 
     def _linearise(self, lane: int, best: Judged | None, start: FloatArray | None = None) -> Judged | None:
-        """What is nearer than the best so far, among the inputs with a stop in that lane; else the best so far. From
-        the proposal, or from `start` (2,), in shares of the ranges."""
+        """The nearest verified input with a stop in that lane, if it is nearer than the best so far; otherwise the best
+        so far. The search starts at the proposal, or at `start` (2,), in shares of the ranges."""
         z = np.clip(np.zeros(2) if start is None else start, self._low, self._high)
         reach = np.inf if best is None else float(self._distance(best.inputs)[0])
         for _ in range(_LINEARISATIONS):
@@ -210,13 +224,14 @@ class Search:
                 best, reach = judged.row(i), float(distance[i])
             if goal is None:
                 break
-            # What is as near as the best, or not far from here, brings nothing more.
+            # A goal no nearer than the best, or close to this point, brings no improvement.
             if best is not None and (np.abs(goal - z).max() < _SETTLED or np.hypot(*goal) > reach - _SETTLED):
                 break
             z = goal
         return best
 
     def _scan(self, lanes: list[int], law: FloatArray) -> Judged:
+        """The best of a fan of inputs and of rings around the proposal."""
         judged = self._judge(self._box(self._proposal + _FAN * (law - self._proposal)), lanes, False)
         if not (judged.margin >= 0).any():
             return judged.row(least_bad(Clearance(judged.margin, judged.clear)))
@@ -233,6 +248,7 @@ class Search:
         return best
 
     def _nearest(self, judged: Judged) -> int:
+        """Index of the nearest verified input."""
         return int(np.where(judged.margin >= 0, self._distance(judged.inputs), np.inf).argmin())
 
     def _nearer(self, inputs: FloatArray, step: float, rings: FloatArray) -> FloatArray:
@@ -244,7 +260,9 @@ class Search:
         return self._box(self._proposal + self._spans * around)
 
     def _box(self, inputs: FloatArray) -> FloatArray:
+        """Inputs clipped to the actuators' ranges."""
         return np.clip(inputs, self._least, self._most)
 
     def _distance(self, inputs: FloatArray) -> FloatArray:
+        """Distance from the proposal, in shares of the ranges."""
         return np.asarray(np.hypot(*((inputs - self._proposal) / self._spans).T))

@@ -1,4 +1,4 @@
-"""What the predictive filter would do in a proposal's place: a scene as its question."""
+"""Input of the predictive filter in place of a proposal: the scene as an optimisation problem."""
 
 from __future__ import annotations
 
@@ -18,19 +18,20 @@ from shield.config import ShieldConfig
 __all__ = ["Predictor"]
 
 _STAGE, _STAGES = 0.2, 20
-"""Stage of the predictive filter [s], and how many."""
+"""Duration of a stage of the predictive filter [s], and number of stages."""
 _NEAREST = 12
-"""Vehicles that a plan looks at."""
+"""Greatest number of vehicles in the problem."""
 
 
 class Predictor:
-    """Asks the predictive filter; what its next plan starts from is the caller's to keep.
+    """Solves the predictive filter's problem for a scene. The caller keeps the plan from which the next solution
+    starts.
 
     Parameters
     ----------
-    config : settings. actuators : what the policy controls.
-    hold : simulation frames for which an input is held.
-    model : what plans are made with; the bicycle by default.
+    config : settings. actuators : inputs of the policy.
+    hold : number of simulation frames for which an input is held.
+    model : prediction model; the bicycle by default.
     """
 
     def __init__(self, config: ShieldConfig, actuators: Actuators, hold: int, model: StageModel | None) -> None:
@@ -38,15 +39,16 @@ class Predictor:
         self._filters: dict[float, PredictiveFilter] = {}
 
     def prepare(self, scene: Scene) -> None:
-        """Compile what its programs need."""
+        """Compile the programs for a scene."""
         self._filter_for(scene).prepare(_NEAREST, curved=scene.road.bends is not None)
 
     def plan(self, now: Instant, proposal: FloatArray, lane: int) -> FloatArray | None:
-        """Inputs (N, 2) near the proposal in the first stage, or None where none keep the constraints.
+        """Inputs (N, 2), near the proposal in the first stage; None if no inputs satisfy the constraints.
 
         Parameters
         ----------
-        lane : that the plan may use beside the ego's own.
+        now : the observed scene. proposal : acceleration [m/s^2] and front wheel angle [rad], (2,).
+        lane : lane that the plan may use besides the ego's own.
         """
         solver = self._filter_for(now.scene)
         settings, scene = solver.settings, now.scene
@@ -57,7 +59,7 @@ class Predictor:
         owned, duration = survey.owned[here] and survey.owned[lane], settings.ends[-1] * dt
         rows = survey.relevant((v + 2.0) * duration, followers=not owned)
         around = survey.around
-        # Beyond its edges the plan meets nobody, and need not stay behind them either.
+        # Beyond its edges the plan meets no vehicle, and need not stay behind any there either.
         rows = rows[(around.low[rows] < high) & (around.high[rows] > low)]
         rows = rows[np.argsort(np.abs(scene.others_road[rows, RoadState.S] - scene.ego_road[RoadState.S]))][:_NEAREST]
         problem = FilterProblem(
@@ -68,7 +70,7 @@ class Predictor:
             edges=(low, high),
             curvature=curvature_ahead(scene, v, settings),
         )
-        # Nothing of the question before stays behind in the solver.
+        # The solver keeps no state of the problem before.
         solver.reset()
         last = now.memory.plan
         guess = None if last is None else shifted(last, settings.frames[0], settings)
@@ -76,6 +78,7 @@ class Predictor:
         return result.inputs if result.status.usable and np.isfinite(result.inputs[0]).all() else None
 
     def _filter_for(self, scene: Scene) -> PredictiveFilter:
+        """The predictive filter for the scene's frame duration."""
         solver = self._filters.get(scene.dt)
         if solver is None:
             substeps = max(1, round(_STAGE / scene.dt))

@@ -1,4 +1,4 @@
-"""In which order alternatives are tried: the policy's own where it has one, else a documented default."""
+"""Order in which alternatives are tried: the policy's own order if it has one, otherwise a documented default."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from dynamics.state import RoadState, Vehicle
 __all__ = ["CLEAR", "GAIN", "IN_LANE", "OUTLOOK", "Order", "default_order", "lane_progress", "resolve"]
 
 Order = Sequence[int] | Callable[[], Sequence[int] | None] | None
-"""Alternatives in order of preference, or a function that is asked only when an override is due."""
+"""Alternatives in order of preference, or a function that is called only when an override is due."""
 
 IN_LANE = 0.625
 """Distance from a lane's centre within which a vehicle counts as in it, in widths of a lane."""
 OUTLOOK = 3.0
 """Weight of a leader's relative speed against its distance [s]."""
 CLEAR = 1000.0
-"""Progress of a lane with nobody ahead [m]."""
+"""Progress of a lane with no vehicle ahead [m]."""
 GAIN = 5.0
-"""Least progress by which another lane must be better than the ego's before it is preferred [m]."""
+"""Least difference in progress at which another lane is preferred to the ego's [m]."""
 
 
 def lane_progress(scene: Scene, lane: int) -> float:
-    """How much room a lane offers: distance to the first vehicle ahead plus 3 s of its relative speed [m]."""
+    """Progress that a lane offers: distance to the first vehicle ahead plus 3 s of its relative speed [m]."""
     return _room(scene, lane)[0]
 
 
 def _room(scene: Scene, lane: int) -> tuple[float, float]:
-    """The progress of a lane, and by how much it may be off [m]: bodies seen through noise reach as far as they may."""
+    """Progress of a lane, and its uncertainty [m]: with a noisy sensor, the extents of a body are upper bounds."""
     states, ego = scene.others_road, scene.ego_road
     ahead = (np.abs(states[:, RoadState.R] - scene.road.centers[lane]) < IN_LANE * scene.road.width) & (
         states[:, RoadState.S] > ego[RoadState.S]
@@ -46,14 +46,14 @@ def _room(scene: Scene, lane: int) -> tuple[float, float]:
 
 
 def default_order(scene: Scene, proposed: int, targets: list[Target]) -> list[int]:
-    """Order for a policy that gives none.
+    """Order for a policy without one.
 
-    First the lane changes into lanes that offer more room than the present one (most room first), then FASTER,
-    IDLE, SLOWER, then the other lane changes. The proposal itself is left out. The shield tries to hold a
-    longitudinal proposal back at each frame before it falls from the first group to the second.
+    First the lane changes into lanes with more progress than the present one (most progress first), then FASTER, IDLE,
+    SLOWER, then the other lane changes. The proposal itself is left out. For a longitudinal proposal, the shield tries
+    an acceleration cap in each frame before it goes from the first group to the second.
 
-    Through a sensor with noise a lane has to offer more room by what it may be off; and who cannot tell keeps right:
-    the lane to the right comes first unless it offers less by that.
+    With a noisy sensor, a lane has to offer more progress by its uncertainty. The lane to the right then comes first,
+    unless it offers less progress by that uncertainty.
     """
     labels = scene.control.actions
     here, doubt = _room(scene, scene.road.lane_at(float(scene.ego_road[RoadState.R])))
@@ -74,10 +74,10 @@ def default_order(scene: Scene, proposed: int, targets: list[Target]) -> list[in
 
 
 def resolve(order: Order) -> list[int] | None:
-    """The order as a list, asking for it if need be; None where the policy fails to give one."""
+    """The order as a list, calling its function if needed; None if the policy fails to give one."""
     try:
         found = order() if callable(order) else order
     except Exception:
-        # An override is due: a policy whose scores break must not stand in its way.
+        # An override is due, and an error in the policy's scores must not prevent it.
         return None
     return None if found is None else [int(a) for a in found]

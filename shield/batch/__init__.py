@@ -1,1 +1,1 @@
-"""The shield of many environments at once, compiled: memory, scene and procedure are arrays."""
+"""Shield of many environments at once, compiled: memory, scene and decision pipeline are arrays."""

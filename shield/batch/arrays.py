@@ -1,7 +1,7 @@
-"""What the shields of many environments know, as arrays: the memory, the records, and the room to work in.
+"""Memory, records and workspace of the shields of many environments, as arrays.
 
-It is what `shield.certificate.road.memory.Memory`, `shield.decision.Decision` and the objects of one decision are for
-one environment, without the objects.
+They replace `shield.certificate.road.memory.Memory`, `shield.decision.Decision` and the objects of one decision, which
+serve one environment.
 """
 
 from __future__ import annotations
@@ -44,21 +44,21 @@ _RULES = len(Rule)
 
 
 class Shields(NamedTuple):
-    """What is remembered in e environments of m other bodies and so many lanes.
+    """Memory of e environments with m other bodies.
 
-    What is seen of the others is kept twice, of the scene seen last and of the one before: `now` (e,) says which half
-    is which.
+    The observation of the other bodies is kept for the last two scenes; `now` (e,) is the index of the later one.
 
     Attributes
     ----------
-    frame : the frame that was seen last, (e,); `NOBODY` before the first. stored : the lane in which the stored
-        fail-safe stops, (e,). clock : frames since the reset, (e,).
+    frame : last observed frame, (e,); `NOBODY` before the first. clock : number of frames since the reset, (e,).
+    stored : lane in which the stored fail-safe stops, (e,).
     ego, state : vehicle row (e, 7) and road state (e, 4). rows, states : of the others, (e, 2, m, 7), (e, 2, m, 4).
-    marks, numbers, brakes, recent : of their `Tables`, (e, 2, ...). of_others, flags : of `Others`, (e, 5, m) and
-        (e, 2, 2 + 2 lanes, m). slipping, slips : who may slip in, (e, 2 m, 4), and how many, (e,).
-    visible, owned : the lanes, see `hold_lanes`, (e, lanes).
-    owing, breaking, offenders : see `Watch`, (e, m). crashed : whether the ego had, (e,).
-    offences : of the assumptions, (e,), and by rule, (e, rules).
+    marks, numbers, brakes, recent : of their `Tables`, (e, 2, ...).
+    of_others, flags : of `Others`, (e, 5, m) and (e, 2, 2 + 2 lanes, m).
+    slipping, slips : vehicles that may cut in, (e, 2 m, 4), and their number, (e,).
+    visible, owned : state of the lanes, see `hold_lanes`, (e, lanes).
+    owing, breaking, offenders : see `Watch`, (e, m). crashed : whether the ego had crashed, (e,).
+    offences, by_rule : number of violations, (e,), and by rule, (e, rules).
     """
 
     frame: IntArray
@@ -88,8 +88,16 @@ class Shields(NamedTuple):
 
 
 class Plans(NamedTuple):
-    """Candidates, and what has been found of each, (n,): `lawful` is the margin from those who have broken no rule,
-    `expected` (n,) and `lasting` (n,) what margin and frames are expected."""
+    """Candidates, and the results for each, (n,).
+
+    Attributes
+    ----------
+    lanes, fails : lanes that each commits to and stops in. speeds : [m/s]. accelerations : [m/s^2].
+    margins : [m]. clear : number of frames before the first negative separation.
+    lawful : margin from the vehicles without a violation [m].
+    expected, lasting : margin [m] and number of clear frames in the forecast.
+    clauses, vehicles : binding clause and binding vehicle.
+    """
 
     lanes: IntArray
     fails: IntArray
@@ -105,9 +113,14 @@ class Plans(NamedTuple):
 
 
 class Room(NamedTuple):
-    """What one thread writes over: the `desk`, a `path` (K, 4), candidates, `ways` (`room_for`), and rows of others.
+    """Workspace of one thread.
 
-    `suspect` (2,): who was in the way of the last candidate in this scene, and the frame.
+    Attributes
+    ----------
+    desk : workspace of the clauses. path : (K, 4). plans : candidates.
+    ways, order : buffers of `dynamics.traffic.occupancy.look`, see `room_for`.
+    flags, tempted, marks, numbers, nobody, grid : buffers for masks, lanes, actions and accelerations.
+    suspect : vehicle that the last candidate of this scene failed for, and the frame, (2,).
     """
 
     desk: Desk
@@ -125,10 +138,13 @@ class Room(NamedTuple):
 
 
 class Records(NamedTuple):
-    """What was decided: of the decision (e,), and of each of its F frames (e, F).
+    """Records of the last decision, (e,), and of each of its F frames, (e, F).
 
-    `broken` (e, rules) is how often each rule was broken in the decision, in the order of `Rule`. `tiers`, `reasons`
-    and `clauses` are indices of `TIERS`, `REASONS` and `CLAUSES` in `shield.batch.codes`.
+    Attributes
+    ----------
+    broken : number of violations of each rule in the decision, (e, rules), in the order of `Rule`.
+    tiers, reasons, clauses : indices of `TIERS`, `REASONS` and `CLAUSES` of `shield.batch.codes`; likewise `tier`,
+        `reason` and `clause`.
     """
 
     proposed: IntArray
@@ -150,7 +166,7 @@ class Records(NamedTuple):
 
 
 class Bench(NamedTuple):
-    """What decisions work with, each where it lies: the arrays of all environments, and of one thread."""
+    """Pointers to everything that a decision reads and writes: the arrays of all environments, and of one thread."""
 
     shields: Lent[Shields]
     law: Lent[Law]
@@ -160,7 +176,7 @@ class Bench(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """One scene as a judgement of paths sees it."""
+    """One scene as the clauses read it."""
 
     ego: FloatArray
     state: FloatArray
@@ -173,7 +189,7 @@ class Scene(NamedTuple):
 
 @inlined
 def scene_of(shields: Shields, law: Law, e: int) -> Scene:
-    """The scene that was seen last in one environment."""
+    """The last observed scene of one environment."""
     now = shields.now[e]
     marks, numbers, brakes = shields.marks[e, now], shields.numbers[e, now], shields.brakes[e, now]
     bodies = bodies_of(marks, numbers, brakes, shields.recent[e, now])
@@ -194,7 +210,7 @@ def bound_of(scene: Scene) -> Scene:
 
 
 def empty_shields(e: int, m: int, law: Law) -> Shields:
-    """Of e environments before their first scene."""
+    """Memory of e environments before their first scene."""
     lanes, (coming, past) = len(law.centers), horizons(law.numbers.dt)
     index, number, flag = np.intp, np.float64, np.bool_
 
@@ -230,7 +246,7 @@ def empty_shields(e: int, m: int, law: Law) -> Shields:
 
 
 def new_room(m: int, law: Law, candidates: int) -> Room:
-    """Room for one thread, for m other bodies and so many candidates at a time."""
+    """Workspace of one thread, for m other bodies and at most `candidates` candidates at a time."""
     numbers, lanes = law.numbers, len(law.centers)
     fastest = max(MAX_SPEED, float(law.target_speeds.max(initial=0.0))) + 10.0
     frames = numbers.period + math.ceil(fastest / (numbers.braking * numbers.dt)) + 2
@@ -266,7 +282,7 @@ def new_room(m: int, law: Law, candidates: int) -> Room:
 
 
 def empty_records(e: int, frames: int) -> Records:
-    """For e environments, and so many frames of a decision."""
+    """Records for e environments and decisions of `frames` frames."""
     index = np.intp
 
     def one() -> IntArray:

@@ -1,4 +1,4 @@
-"""Reasons, tiers, clauses and rules by number."""
+"""Integer codes of reasons, tiers, clauses and rules."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ __all__ = ["CLAUSES", "FALLBACKS", "OVERRIDES", "REASONS", "TIERS", "certified",
 REASONS, TIERS = tuple(Reason), tuple(Tier)
 FALLBACKS = np.array([tier.fallback for tier in TIERS])
 OVERRIDES = np.array([tier not in (Tier.OFF, Tier.PASSED) for tier in TIERS])
-"""Which tiers are fallbacks, and which stand for something else than the proposal."""
+"""For each tier, whether it is a fallback, and whether it replaces the proposal."""
 _CERTIFIED = np.array([tier.certified for tier in TIERS])
 CLAUSES = {NOTHING_BINDS: "", SEPARATION_BINDS: "separation", SLIP_IN_BINDS: "slip-in", ROOM_BINDS: "room"}
 
 
 def certified(tiers: IntArray, reasons: IntArray, margins: FloatArray) -> BoolArray:
-    """Which decisions have a certificate, of arrays of one shape; see `shield.decision.Decision.guarantee`."""
+    """Which decisions have a certificate, for arrays of one shape; see `shield.decision.Decision.guarantee`."""
     lost = (tiers == TIERS.index(Tier.STORED_PLAN)) & (reasons == REASONS.index(Reason.NO_SAFE_PLAN))
     return np.asarray(_CERTIFIED[tiers] & ~np.isnan(margins) & ~(lost & (margins < -ROUNDING)))
 
 
 def rules_in(broken: IntArray) -> dict[str, int]:
-    """How often each rule was broken, by its name, of a row of `Records.broken` (rules,)."""
+    """Number of violations of each rule, by its name, from a row of `Records.broken`, (rules,)."""
     return {str(rule): int(count) for rule, count in zip(Rule, broken, strict=True) if count}

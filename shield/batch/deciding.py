@@ -1,4 +1,4 @@
-"""One decision of one of many environments: what `shield.pipelines.meta_actions.MetaActions` decides."""
+"""One decision in one of many environments, as by `shield.pipelines.meta_actions.MetaActions`."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _BAD_SCENE, _BAD_ACTION = REASONS.index(Reason.BAD_SCENE), REASONS.index(Reason.
 
 @inlined
 def target_of(worlds: Worlds, law: Law, e: int, action: int) -> tuple[int, float]:
-    """The lane and the speed that the ego's controllers track after an action; see `Scene.target_of`."""
+    """Lane and speed that the ego's controllers track after an action; see `Scene.target_of`."""
     label, lane, speed = law.labels[action], worlds.g[e, TARGET, 0], worlds.f[e, TARGET_SPEED, 0]
     if label >= _FASTER:
         return lane, next_target_speed(law.target_speeds, worlds.f[e, SPEED, 0], label)
@@ -60,7 +60,7 @@ def objects(shields: Shields, law: Law, e: int, lane: int) -> bool:
 
 @inlined
 def _why(shields: Shields, law: Law, e: int, lane: int, speed: float) -> int:
-    """The reason to record for a target that did not verify."""
+    """Recorded reason for a target that did not verify."""
     now, x = shields.now[e], law.numbers
     rows, states, ego, state = shields.rows[e, now], shields.states[e, now], shields.ego[e], shields.state[e]
     braking = (x.braking, x.leader_braking, x.follower_braking)
@@ -86,7 +86,7 @@ def _progress(shields: Shields, law: Law, e: int, lane: int) -> float:
 
 @inlined
 def _default_order(shields: Shields, law: Law, worlds: Worlds, e: int, proposed: int, room: Room, out: IntArray) -> int:
-    """See `shield.alternatives.preference.default_order`; how many there are."""
+    """Fill in `shield.alternatives.preference.default_order`. Return the number of actions."""
     labels, numbers, targets = law.labels, law.numbers, room.marks[5]
     here = _progress(shields, law, e, nearest(law.centers, shields.state[e, 1]))
     gains, count = room.numbers[1], 0
@@ -123,9 +123,11 @@ def verifies(
     lasting: int,
     found: FloatArray,
 ) -> bool:
-    """Whether a target verifies, in the first lane to stop in that does: its margin, that lane, the clause and the
-    vehicle, to `found` (4,). With `lasting` frames, those that are expected to need holding back within the decision
-    period do not."""
+    """Whether a target verifies, for the first lane to stop in for which it does. Its margin, that lane, the clause and
+    the vehicle are written to `found`, (4,).
+
+    With `lasting` frames, a target is refused if it is expected to need an acceleration cap within the decision.
+    """
     law, room = held(bench.law), held(bench.room)
     plans, fails, x = room.plans, room.marks[2], law.numbers
     n = fail_lanes(held(bench.shields), law, e, lane, fails)
@@ -145,8 +147,8 @@ def verifies(
 
 @uncounted
 def _speeds(law: Law, v: float, label: int, speed: float, room: Room) -> int:
-    """The speeds at which a target is tried, ascending, in `room.grid[1]`: of a lane change, also held back by the
-    frames."""
+    """Speeds at which a target is tried, ascending, in `room.grid[1]`. For a lane change these include the capped
+    speeds. Return their number."""
     out, n = room.grid[1], 1
     out[0] = speed
     if label in (_LEFT, _RIGHT):
@@ -167,7 +169,7 @@ def _speeds(law: Law, v: float, label: int, speed: float, room: Room) -> int:
 def _first_action(
     bench: Bench, scene: Lent[Scene], e: int, actions: IntArray, count: int, forecast: int, found: FloatArray
 ) -> int:
-    """The first action that verifies, at the speed with the largest margin; else -1. `found` as in `verifies`."""
+    """The first action that verifies, at the speed with the largest margin; otherwise -1. `found` as in `verifies`."""
     shields, law, room = held(bench.shields), held(bench.law), held(bench.room)
     v, most, tried, wanted = shields.ego[e, 3], -math.inf, room.grid[1], room.numbers[0]
     for k in range(count):
@@ -199,7 +201,7 @@ def _first_action(
 
 @inlined
 def _keep(shields: Shields, records: Records, e: int, tier: int, reason: int, executed: int, found: FloatArray) -> None:
-    """A plan that verifies."""
+    """Record and store a verified plan."""
     records.tier[e], records.reason[e], records.executed[e] = tier, reason, executed
     records.margin[e], records.clause[e], records.vehicle[e] = found[0], int(found[2]), int(found[3])
     shields.stored[e] = int(found[1])
@@ -208,7 +210,7 @@ def _keep(shields: Shields, records: Records, e: int, tier: int, reason: int, ex
 
 @inlined
 def _only_refused(bench: Bench, e: int) -> bool:
-    """Whether nothing but a precaution refuses every plan: the stored one still verifies, and nobody breaks a rule."""
+    """Whether only a precaution refuses all plans: the stored plan still verifies, and there is no violator."""
     shields = held(bench.shields)
     if shields.stored[e] == NOBODY or violated(shields, e):
         return False
@@ -217,7 +219,7 @@ def _only_refused(bench: Bench, e: int) -> bool:
 
 @inlined
 def _give_up(shields: Shields, law: Law, records: Records, e: int, reason: int) -> None:
-    """Slow down, and leave it to the frames to play the stored plan on."""
+    """Slow down; the frames continue the stored plan."""
     records.tier[e] = _EMERGENCY if shields.stored[e] == NOBODY else _STORED
     records.reason[e], records.executed[e] = reason, law.numbers.slower
     records.margin[e], records.clause[e], records.vehicle[e] = math.nan, NOTHING_BINDS, NOBODY
@@ -235,7 +237,8 @@ def _alternatives(
     room: Room,
     out: IntArray,
 ) -> int:
-    """What is tried in the proposal's place, filled in: the policy's order, or the documented one without one."""
+    """Fill in the alternatives to the proposal: in the policy's order, or in the documented one. Return their
+    number."""
     lanes, wanted, ordered, n, kept = room.marks[5], room.numbers[0], room.marks[3], 0, 0
     if order.shape[0] > 0 and order[0] >= 0:
         while n < order.shape[0] and order[n] >= 0:
@@ -243,7 +246,7 @@ def _alternatives(
             n += 1
     else:
         n = _default_order(shields, law, worlds, e, proposed, room, ordered)
-        # What can be held back comes before what slows down on purpose.
+        # An acceleration cap comes before an action that slows down.
         for k in range(n):
             label = law.labels[ordered[k]]
             if label == 4 or (not changes and label in (1, _FASTER)):
@@ -251,7 +254,7 @@ def _alternatives(
                 break
     for k in range(n):
         a = ordered[k]
-        # An action that sets the same target would be the same action under another name.
+        # An action with the same target is the same action under another name.
         if a != proposed and (lanes[a] != lanes[proposed] or wanted[a] != wanted[proposed]):
             out[kept] = a
             kept += 1
@@ -260,13 +263,13 @@ def _alternatives(
 
 @uncounted
 def decide(bench: Bench, e: int, proposed: int, order: IntArray) -> None:
-    """Decide about one meta-action, to `records`.
+    """Decide about one meta-action, into `records`.
 
     Parameters
     ----------
-    proposed : its index; anything else is no action.
-    order : the policy's order of preference over the others, up to the first negative one; with nothing in it the
-        documented one.
+    proposed : its index; any other number is an invalid action.
+    order : the policy's order of preference among the other actions, up to the first negative entry; if empty, the
+        documented order.
     """
     shields, law, worlds = held(bench.shields), held(bench.law), held(bench.worlds)
     room, records = held(bench.room), held(bench.records)
@@ -286,14 +289,15 @@ def decide(bench: Bench, e: int, proposed: int, order: IntArray) -> None:
     lane, speed, v = lanes[proposed], wanted[proposed], shields.ego[e, 3]
     changes, reason = lane != nearest(law.centers, shields.state[e, 1]), _BUFFER
     if not objects(shields, law, e, lane):
-        # A longitudinal proposal can be held back by the frames; a lane change should be able to end well.
+        # The frames can cap the acceleration of a longitudinal proposal. A lane change should verify for the whole
+        # decision.
         lasting = frames_of(law, v, speed, numbers.period) if changes else 0
         if verifies(bench, scene, e, lane, speed, frames_of(law, v, speed, numbers.one), lasting, found):
             _keep(shields, records, e, _PASSED, _NONE, proposed, found)
             return
         reason = _why(shields, law, e, lane, speed)
     if changes:
-        # A lane change that only its speed stands in the way of.
+        # A lane change that verifies at a lower speed.
         actions[0] = proposed
         if _first_action(bench, scene, e, actions, numbers.one, numbers.one, found) != NOBODY:
             _keep(shields, records, e, _GOVERNED, reason, proposed, found)
@@ -303,7 +307,7 @@ def decide(bench: Bench, e: int, proposed: int, order: IntArray) -> None:
     if executed != NOBODY:
         _keep(shields, records, e, _ALTERNATIVE, reason, executed, found)
         return
-    # An override that has no policy order behind it holds the proposal back rather than drop it.
+    # Without a policy order, an acceleration cap for the proposal comes before the remaining actions.
     for executed in (
         NOBODY if changes else proposed,
         numbers.idle,
@@ -318,7 +322,8 @@ def decide(bench: Bench, e: int, proposed: int, order: IntArray) -> None:
             found[2], found[3] = plans.clauses[kept], plans.vehicles[kept]
             _keep(shields, records, e, _GOVERNED, reason, executed, found)
             return
-    # Whatever is left, whether or not it is expected to last: the certificate needs one frame only.
+    # The remaining actions, whether or not they are expected to verify to the end of the decision: the certificate
+    # needs only one frame.
     n = 0
     for a in range(count):
         if a != proposed:

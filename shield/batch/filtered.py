@@ -1,4 +1,4 @@
-"""What all batches of filtered highways have in common: the traffic, the episodes, and the records."""
+"""Base class of batched highways with a filter: the traffic, the episodes, and the records."""
 
 from __future__ import annotations
 
@@ -25,27 +25,28 @@ from shield.supported_environments import check_frequency, check_perception, che
 __all__ = ["FilteredHighways"]
 
 _ROWS = 7
+"""Number of columns of a vehicle row."""
 
 
 class FilteredHighways(ABC):
-    """So many compiled highways with meta-actions, each behind a filter of them.
+    """Compiled highways with meta-actions, each with a filter.
 
     Parameters
     ----------
-    env_id, num_envs, config, threads, tape : as of `Simulator`.
+    env_id, num_envs, config, threads, tape : as in `Simulator`.
     shield : settings, or the path of a TOML file with them.
 
     Raises
     ------
     ConfigError
-        If the environment's actions are none, or as of `Simulator`.
+        If the environment has no meta-actions, or as in `Simulator`.
 
     Attributes
     ----------
     simulator : the traffic.
     records : the last decisions, and their frames (`shield.batch.arrays.Records`).
-    rows, off_road : the bodies after each frame of the last decision, (e, F, m, 7), see `CompiledHighwayEnv.frames`;
-        and whether the ego was off the road then, (e, F).
+    rows : vehicle rows after each frame of the last decision, (e, F, m, 7), see `CompiledHighwayEnv.frames`.
+    off_road : whether the ego was off the road then, (e, F).
     """
 
     def __init__(
@@ -75,33 +76,33 @@ class FilteredHighways(ABC):
         self._prepare(len(self._slices.bounds))
 
     def _traffic(self, env_id: str, num_envs: int, config: Mapping[str, Any] | None, tape: bool) -> Any:
-        """What simulates."""
+        """The simulator."""
         return Simulator(env_id, num_envs, config, tape=tape)
 
     @abstractmethod
     def _settings(self, shield: ShieldConfig | str | Path | None) -> ShieldConfig:
-        """The settings; raises ConfigError where they need what is not compiled."""
+        """The settings; raises ConfigError if they need a feature that is not compiled."""
 
     @abstractmethod
     def _prepare(self, threads: int) -> None:
-        """Make what is remembered of each environment, and the room of each thread."""
+        """Allocate the memory of each environment and the workspace of each thread."""
 
     @abstractmethod
     def _forget(self, e: int) -> None:
-        """An episode begins in one environment."""
+        """Reset the memory of one environment for a new episode."""
 
     @abstractmethod
     def _decide(self, part: int, first: int, last: int, actions: IntArray, orders: IntArray, again: bool) -> None:
-        """A decision in each of the environments from `first` to `last`, which are those of thread `part`."""
+        """One decision in each of the environments from `first` to `last`, which belong to thread `part`."""
 
     @abstractmethod
     def _mask(self, part: int, first: int, last: int, masks: BoolArray) -> None:
-        """Which actions verify in each of the environments from `first` to `last`, those of thread `part`, into `masks`
-        (e, actions); nothing that is remembered changes."""
+        """Write the actions that verify in each of the environments from `first` to `last`, which belong to thread
+        `part`, to `masks` (e, actions). The memory does not change."""
 
     def masks(self) -> BoolArray:
-        """Which actions verify now in each environment, (e, actions); all True where none does. No decision is another
-        for being asked."""
+        """Mask of actions that verify now in each environment, (e, actions); all True where none does. Read-only:
+        changes no memory, record or later decision."""
         masks = np.zeros((self.num_envs, self.actions), np.bool_)
         self._slices.run(lambda k, first, last: self._mask(k, first, last, masks))
         masks[~masks.any(axis=1)] = True
@@ -118,7 +119,7 @@ class FilteredHighways(ABC):
         return found
 
     def reset_to(self, shares: FloatArray, which: Sequence[int]) -> NDArray[np.float32]:
-        """Start episodes in scenes of one's own choice; see `Simulator.reset_to`."""
+        """Start episodes in given scenes; see `Simulator.reset_to`."""
         observations = self.simulator.reset_to(shares, which)
         for e in which:
             self._forget(e)
@@ -126,7 +127,7 @@ class FilteredHighways(ABC):
         return found
 
     def look(self, e: int, rows: FloatArray) -> bool:
-        """The bodies of one environment as rows (m, 7); whether the ego is on the road."""
+        """Write the bodies of one environment to `rows`, (m, 7). Return whether the ego is on the road."""
         return bool(look(self.simulator.worlds, self.simulator.scenario.rules, e, rows))
 
     @property
@@ -136,25 +137,26 @@ class FilteredHighways(ABC):
         return worlds
 
     def one(self) -> gym.Env[Any, Any]:
-        """One such environment, unfiltered."""
+        """One such environment without a filter."""
         scenario = self.simulator.scenario
         return CompiledHighwayEnv(scenario.env_id, scenario.config)
 
     @property
     def steps(self) -> int:
-        """As many decisions as an episode has, and one more."""
+        """Number of decisions of an episode, plus one."""
         duration, decision = self.simulator.rules.times[2], self.simulator.rules.times[1]
         return int(np.ceil(duration / decision)) + 1
 
     @property
     def actions(self) -> int:
-        """How many meta-actions there are."""
+        """Number of meta-actions."""
         return len(self.simulator.rules.labels)
 
     def step_first(
         self, actions: Any, count: int
     ) -> tuple[NDArray[np.float32], FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
-        """`step` of the first `count` environments only; what it returns of the others is what was there before."""
+        """`step` in the first `count` environments only. The returned arrays keep their previous values for the
+        others."""
         return self._step(actions, None, False, range(count))
 
     def step(
@@ -168,20 +170,21 @@ class FilteredHighways(ABC):
 
         Parameters
         ----------
-        actions : meta-actions, (e,). What is none of them is replaced by the fallback, as of a policy that fails.
-        orders : the policy's order of preference over the others in each, (e, k), which ends with the first negative
-            one; where there is none, or the first is negative, the documented order.
-        again, which : as of `Simulator.step`.
+        actions : meta-actions, (e,). An invalid one is replaced by the fallback, as for a policy that fails.
+        orders : the policy's order of preference among the other actions in each environment, (e, k), up to the first
+            negative entry. Where it is missing or empty, the documented order is used.
+        again, which : as in `Simulator.step`.
 
         Returns
         -------
-        As of `Simulator.step`; `records` have what was decided.
+        As from `Simulator.step`; `records` holds the decisions.
         """
         return self._step(actions, orders, again, which)
 
     def _step(
         self, actions: Any, orders: IntArray | None, again: bool, which: Sequence[int] | NDArray[Any] | None
     ) -> tuple[NDArray[np.float32], FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
+        """`step`, in the environments `which`."""
         proposed = np.asarray(actions)
         if proposed.shape != (self.num_envs,) or proposed.dtype.kind not in "iu":
             raise ConfigError(f"have a meta-action for each of {self.num_envs} environments, not {actions!r}")

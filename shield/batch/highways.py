@@ -1,4 +1,4 @@
-"""`ShieldedHighways`: many compiled highways, each behind its shield."""
+"""`ShieldedHighways`: many compiled highways, each with a shield."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ __all__ = ["ShieldedHighways"]
 
 
 class ShieldedHighways(FilteredHighways):
-    """So many copies of `highway-v0` or `highway-fast-v0` with meta-actions, each behind the shield that `ShieldedEnv`
-    is around one of them: the same decisions, bit for bit.
+    """Copies of `highway-v0` or `highway-fast-v0` with meta-actions. Each has a shield with the same decisions as
+    `ShieldedEnv` around one environment, bit for bit.
 
     Parameters
     ----------
-    env_id, num_envs, config, threads, tape : as of `Simulator`.
+    env_id, num_envs, config, threads, tape : as in `Simulator`.
     shield : settings, or the path of a TOML file with them; of mode "full", with repair "hold" and without `record`, or
         of mode "none".
 
     Raises
     ------
     ConfigError
-        If the environment or the settings need what is not compiled; take `ShieldedEnv` then.
+        If the environment or the settings need a feature that is not compiled; use `ShieldedEnv` then.
 
     Attributes
     ----------
-    simulator, records, rows, off_road : as of `FilteredHighways`.
-    shields : what is remembered (`shield.batch.arrays.Shields`).
+    simulator, records, rows, off_road : as in `FilteredHighways`.
+    shields : memory of the environments (`shield.batch.arrays.Shields`).
 
     Examples
     --------
@@ -103,7 +103,7 @@ class ShieldedHighways(FilteredHighways):
         )
 
     def _mask(self, part: int, first: int, last: int, masks: BoolArray) -> None:
-        # Taking in a scene counts what the others have broken: what is remembered is left as it is, and a copy does it.
+        # An observation changes the memory, for example the count of violations. So the mask works on a copy.
         shields = Shields._make(array[first:last].copy() for array in self.shields)
         worlds = Worlds._make(array[first:last] for array in self.worlds)
         mask_all(worlds, shields, self.law, self._rooms[part][1], self.records, masks[first:last])

@@ -1,4 +1,4 @@
-"""`ShieldedLookaheadPolicy`: chooses among what the shield allows, by knowing what will happen."""
+"""`ShieldedLookaheadPolicy`: beam search over the actions that the shield permits, in the simulator's future."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ __all__ = ["ShieldedLookaheadPolicy"]
 
 
 class ShieldedLookaheadPolicy(LookaheadPolicy):
-    """Beam search over what may be proposed to the shield, which has the last word in each future.
+    """Beam search over proposals to the shield, which decides in each future.
 
-    The certificate decides what is allowed, the look-ahead what is best of that. It reads the simulator's true state;
-    of the shield's memory it knows nothing, and begins each search with an empty one.
+    The certificate restricts the actions, and the look-ahead optimises among them. It reads the simulator's true state.
+    It does not read the shield's memory, and begins each search with an empty one.
 
     Parameters
     ----------
-    env, depth, beam : as of `LookaheadPolicy`.
+    env, depth, beam : as in `LookaheadPolicy`.
     shield : settings, or the path of a TOML file with them (see `ShieldedHighways`).
 
     Examples

@@ -1,4 +1,4 @@
-"""Which meta-actions verify in many environments: what `shield.pipelines.meta_actions.MetaActions.mask` finds."""
+"""Action masks of many environments, as `shield.pipelines.meta_actions.MetaActions.mask` computes them."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ __all__ = ["mask_all"]
 
 @uncounted
 def _mask(bench: Bench, e: int, mask: BoolArray) -> None:
-    """Which actions verify as they are in one environment, (actions,), filled in; none in a scene that is not finite.
-    The scene is taken in."""
+    """Fill in the actions that verify in one environment, (actions,); none if the scene is not finite. The scene is
+    observed."""
     shields, law, room = held(bench.shields), held(bench.law), held(bench.room)
     lanes, wanted, found = room.marks[5], room.numbers[0], room.grid[2, :4]
     for a in range(mask.shape[0]):
@@ -40,7 +40,8 @@ def _mask(bench: Bench, e: int, mask: BoolArray) -> None:
                 most = max(most, wanted[a])
         if most == -math.inf:
             continue
-        # A longitudinal action can be held back by the frames; a lane change should be able to end well.
+        # The frames can cap the acceleration of a longitudinal action. A lane change should verify for the whole
+        # decision.
         frames = frames_of(law, v, most, law.numbers.one)
         lasting = frames_of(law, v, most, law.numbers.period) if changes else 0
         for a in range(mask.shape[0]):
@@ -50,11 +51,11 @@ def _mask(bench: Bench, e: int, mask: BoolArray) -> None:
 
 @uncounted
 def mask_all(worlds: Worlds, shields: Shields, law: Law, room: Room, records: Records, masks: BoolArray) -> None:
-    """Which actions verify as they are in each environment, (e, actions), filled in.
+    """Fill in the actions that verify in each environment, (e, actions).
 
     Parameters
     ----------
-    shields : what is remembered; the scenes are taken in. records : nothing is written to them.
+    shields : memory; the scenes are observed. records : not written.
     """
     bench = Bench(lent(shields), lent(law), lent(worlds), lent(room), lent(records))
     for e in range(masks.shape[0]):

@@ -1,4 +1,5 @@
-"""Observe the scene of one of many environments: `memory.observe` and `Watch.next` of the certificate, compiled."""
+"""Observation of the scene of one of many environments: `memory.observe` and `Watch.next` of the certificate,
+compiled."""
 
 from __future__ import annotations
 
@@ -30,7 +31,8 @@ _RULES = len(Rule)
 
 @inlined
 def _row(worlds: Worlds, e: int, i: int, row: FloatArray, state: FloatArray) -> bool:
-    """A body as a vehicle row and, on a straight road along x, as a road state; whether all of it is finite."""
+    """Write a body as a vehicle row and, on a straight road along x, as a road state. Return whether all its numbers
+    are finite."""
     write_row(worlds.f[e], worlds.g[e], worlds.p[e], i, row)
     state[0], state[1], state[2], state[3] = row[0], row[1], row[2], row[3]
     return math.isfinite(row[0] + row[1] + row[2] + row[3] + row[4] + row[5])
@@ -38,7 +40,7 @@ def _row(worlds: Worlds, e: int, i: int, row: FloatArray, state: FloatArray) -> 
 
 @uncounted
 def forget(shields: Shields, e: int) -> None:
-    """Begin a new episode."""
+    """Reset the memory of one environment for a new episode."""
     shields.frame[e] = shields.stored[e] = NOBODY
     shields.clock[e] = shields.offences[e] = 0
     shields.crashed[e] = False
@@ -48,7 +50,7 @@ def forget(shields: Shields, e: int) -> None:
 
 @inlined
 def stop_in(shields: Shields, law: Law, e: int, lane: int, room: Room) -> int:
-    """Candidate 0: braking to a stop in a lane from now on; and for how many frames."""
+    """Set candidate 0 to braking to a stop in a lane from now on. Return its number of frames."""
     plans, numbers, v = room.plans, law.numbers, shields.state[e, 3]
     plans.lanes[0], plans.fails[0], plans.speeds[0] = lane, lane, v - numbers.braking / KP_SPEED
     return frames_of(law, v, plans.speeds[0], numbers.one)
@@ -56,7 +58,7 @@ def stop_in(shields: Shields, law: Law, e: int, lane: int, room: Room) -> int:
 
 @uncounted
 def observe(bench: Bench, e: int) -> bool:
-    """Take in the scene of one environment, once a frame; False where it is not finite, and nothing is taken in."""
+    """Observe the scene of one environment, once a frame. Return False, and change nothing, if it is not finite."""
     shields, law, worlds, room = held(bench.shields), held(bench.law), held(bench.worlds), held(bench.room)
     if shields.frame[e] == shields.clock[e]:
         return True
@@ -82,7 +84,7 @@ def observe(bench: Bench, e: int) -> bool:
         shields.numbers[e, old],
         shields.recent[e, old],
     )
-    # What the ego holds of the lanes, and who could enter which.
+    # The lanes that the ego owns, and the vehicles that may enter each lane.
     coming = shields.flags[e, old, 2 + lanes : 2 + lanes if first else 2 + 2 * lanes]
     half = 0.5 * (ego[4] * abs(math.sin(state[2])) + ego[5] * abs(math.cos(state[2])))
     touch, leave = TOUCH + half, 0.5 * numbers.width + half
@@ -188,7 +190,7 @@ def observe(bench: Bench, e: int) -> bool:
         counted_on(others, state, foot, centers, plan, owned, followers, counted)
     some, more = stayed(shields.owing[e], counted, flags[0], flags[1], broken, grown, owing)
     if more:
-        # Who takes more room than before has to leave it to the ego's fail-safe.
+        # A vehicle that takes more room than before has to leave the ego's fail-safe its room.
         some = in_the_way_now(world, rows, numbers.dt, grown, broken) or some
         frames = stop_in(shields, law, e, nearest(centers, state[1]) if stored == NOBODY else stored, room)
         scene, one, none = lent(scene_of(shields, law, e)), numbers.one, numbers.none

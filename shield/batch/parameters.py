@@ -1,4 +1,4 @@
-"""What is the same for all environments: the settings of the shield, as numbers and arrays."""
+"""Settings of the shield as numbers and arrays, which all environments share."""
 
 from __future__ import annotations
 
@@ -24,12 +24,17 @@ NOBODY = -1
 
 
 class Numbers(NamedTuple):
-    """Scalars of the law.
+    """Scalar settings.
 
-    `braking` of the fail-safe [m/s^2]; `dt` [s]; `period`: frames in a decision; `decay`: what is left of a difference
-    of speed after that; `width` of a lane, `length` of the road, `longitudinal`, `lateral`: of the buffer [m];
-    `response`, `ttc` [s]; `slower`, `idle`, `faster`: index of the action, or `NOBODY`; `off`: whether nothing is
-    filtered. `none` and `one` are 0 and 1: a kernel is compiled anew for each constant that it is called with.
+    Attributes
+    ----------
+    braking : deceleration of the fail-safe [m/s^2]. dt : frame [s]. period : number of frames in a decision.
+    decay : share of a speed error that remains after a decision.
+    width, length : of a lane and of the road [m]. longitudinal, lateral : buffer [m].
+    leader_braking, follower_braking, follower_acceleration : of the RSS rule [m/s^2].
+    response, reaction : response times of the ego and of a follower [s]. ttc : least time to collision [s].
+    slower, idle, faster : index of each action, or `NOBODY`. off : whether nothing is filtered.
+    none, one : 0 and 1; a kernel is compiled again for each constant that it is called with.
     """
 
     braking: float
@@ -55,15 +60,16 @@ class Numbers(NamedTuple):
 
 
 class Law(NamedTuple):
-    """What is the same for all.
+    """Settings that all environments share.
 
     Attributes
     ----------
-    centers : of the lanes, (lanes,) [m]. size, settings, motion, limits : numbers of `Footprint`, `Settings`, `Motion`
-        (with `lean` and `waver`), and of the limits of `permits`.
-    table, stretch, growth : of a straight road, none.
+    centers : of the lanes, (lanes,) [m].
+    size, settings, motion, limits : numbers of `Footprint`, of `Settings`, of `Motion` (with `lean` and `waver`), and
+        of the limits of `permits`.
+    table, stretch, growth : of the road; a straight one needs none.
     target_speeds, labels : of the meta-actions, see `dynamics.highway_simulator.step_kernels.Rules`.
-    numbers : the scalars.
+    numbers : scalars.
     """
 
     centers: FloatArray
@@ -80,11 +86,11 @@ class Law(NamedTuple):
 
 
 def law_of(config: ShieldConfig, scenario: Scenario, road: StraightRoad, length: float, width: float) -> Law:
-    """The law of a configuration, for meta-actions on a straight road.
+    """The settings of a configuration, for meta-actions on a straight road.
 
     Parameters
     ----------
-    length, width : of the ego [m].
+    config : the configuration. scenario, road : of the environment. length, width : of the ego [m].
     """
     rules, a = scenario.rules, config.assumptions
     labels = rules.labels.tolist()

@@ -1,4 +1,4 @@
-"""What takes the place of a frame that does not verify: `HoldBack` and the evasions of `shield.pipelines.frames`."""
+"""Replacements for a frame that does not verify: `HoldBack` and the evasions of `shield.pipelines.frames`, compiled."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["evade", "fail_lanes", "held_back", "hold_back"]
 
 @inlined
 def _grid(law: Law, v: float, speed: float, room: Room) -> None:
-    """Accelerations from full braking to that of the target, as of `np.linspace` [m/s^2]."""
+    """Accelerations from full braking to that of the target, equal to `np.linspace` [m/s^2]."""
     low = -law.numbers.braking
     high = max(min(KP_SPEED * (speed - v), GREATEST), low)
     step = (high - low) / (ACCELERATIONS - 1)
@@ -30,7 +30,7 @@ def _grid(law: Law, v: float, speed: float, room: Room) -> None:
 
 @inlined
 def held_back(law: Law, v: float, speed: float, change: float, room: Room) -> float:
-    """The speed to which a target is held back for one of `CAPS` [m/s]; see `held_back_speeds`."""
+    """Speed to which a target is reduced for one of `CAPS` [m/s]; see `held_back_speeds`."""
     _grid(law, v, speed, room)
     place, wish = 0, KP_SPEED * change
     for i in range(ACCELERATIONS):
@@ -41,7 +41,7 @@ def held_back(law: Law, v: float, speed: float, change: float, room: Room) -> fl
 
 @inlined
 def fail_lanes(shields: Shields, law: Law, e: int, lane: int, out: IntArray) -> int:
-    """`shield.pipelines.frames.fail_lanes`, filled in; and how many they are."""
+    """Fill in `shield.pipelines.frames.fail_lanes`. Return the number of lanes."""
     here, stored = nearest(law.centers, shields.state[e, 1]), shields.stored[e]
     if stored == NOBODY or abs(stored - here) > 1:
         stored = here
@@ -57,7 +57,7 @@ def fail_lanes(shields: Shields, law: Law, e: int, lane: int, out: IntArray) -> 
 
 @uncounted
 def hold_back(bench: Bench, scene: Lent[Scene], e: int, lane: int, speed: float, begins: int) -> int:
-    """The candidate with the greatest acceleration that verifies, committed lane first, or -1; `begins` as of
+    """The candidate with the greatest acceleration that verifies, committed lane first, or -1; `begins` as in
     `shield.pipelines.frames.HoldBack`, 0 or 1."""
     law, room = held(bench.law), held(bench.room)
     lanes, plans, grid = room.marks[2], room.plans, room.grid
@@ -69,7 +69,7 @@ def hold_back(bench: Bench, scene: Lent[Scene], e: int, lane: int, speed: float,
         grid[1, i] = v + grid[0, i] / KP_SPEED
         most = max(most, grid[1, i])
     frames = frames_of(law, v, most, law.numbers.one)
-    # From the best score to the worst; of equals, by the lane that is stopped in, and then the one that is steered to.
+    # From the best score to the worst; among equals, by the lane of the stop, then by the target lane.
     nexts, tied, at = room.marks[3], room.marks[4], 0
     for k in range(count):
         nexts[k] = ACCELERATIONS - 1
@@ -99,8 +99,8 @@ def hold_back(bench: Bench, scene: Lent[Scene], e: int, lane: int, speed: float,
 
 @inlined
 def _least_bad(room: Room, n: int, lawful: bool) -> int:
-    """Of those that clear who has broken no rule (with `lawful`), or of all; see
-    `shield.certificate.road.verify.least_bad_evasion`."""
+    """Index of the best candidate, among those that clear the vehicles without a violation (with `lawful`) or among
+    all; see `shield.certificate.road.verify.least_bad_evasion`."""
     plans, best, most = room.plans, NOBODY, (0, 0, 0.0)
     for i in range(n):
         if lawful and not plans.lawful[i] >= 0:
@@ -114,8 +114,8 @@ def _least_bad(room: Room, n: int, lawful: bool) -> int:
 
 @uncounted
 def evade(bench: Bench, lent: Lent[Scene], e: int, speed: float, violated: bool) -> int:
-    """The candidate that is expected to clear everybody longest among those that clear who has broken no rule; see
-    `lawful` of it."""
+    """The candidate that is expected to stay clear longest, among those that clear the vehicles without a violation
+    (see `Instant.lawful`); if there are none, among all."""
     shields, law, room, scene = held(bench.shields), held(bench.law), held(bench.room), held(lent)
     plans, lanes, x = room.plans, room.marks[2], law.numbers
     here, stored, n = nearest(law.centers, scene.state[1]), shields.stored[e], 0
@@ -140,7 +140,7 @@ def evade(bench: Bench, lent: Lent[Scene], e: int, speed: float, violated: bool)
         verify(bench, lent, at, x.one, frames, x.none, shields.offenders[e], x.none)
         for i in range(at):
             plans.lawful[i] = plans.margins[i]
-        # The desk may have what another forecast in this scene has expected.
+        # The workspace may hold the values of another forecast in this scene.
         for j in range(scene.around.states.shape[0]):
             room.desk.done[1, j] = 0
         verify(bench, lent, at, x.one, frames, frames, room.nobody, x.none)

@@ -1,4 +1,4 @@
-"""Shielded decisions of many environments as one compiled call."""
+"""Shielded decisions in many environments, in one compiled call."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _NO_TARGET = -1, 0.0
 
 @uncounted
 def let_pass(records: Records, e: int, proposed: int) -> None:
-    """Without a shield, what is proposed is executed."""
+    """Record and execute the proposal without a shield."""
     records.proposed[e] = records.executed[e] = proposed
     records.tier[e], records.reason[e], records.margin[e] = _OFF, 0, math.nan
     records.clause[e], records.vehicle[e] = 0, -1
@@ -69,16 +69,18 @@ def step_all_shielded(
     again: bool,
     frequency: float,
 ) -> None:
-    """A shielded decision in each of the environments from `first` to `last`; with `again`, those that are over are
-    reset.
+    """One shielded decision in each of the environments from `first` to `last`; with `again`, environments with a
+    finished episode are reset.
 
     Parameters
     ----------
-    actions, orders : proposed in each, (e,), and the order of the others, see `decide`, (e, actions or 0).
-    given : room for an action, (2,).
-    rows, off_road : the bodies after each frame (e, F, m, 7), and whether the ego is off the road then, (e, F);
-        results.
-    frequency : frames a second.
+    machine, worlds, rules, view, work, seen : of the simulator.
+    shields, law, room : memory, settings, and workspace of the thread. records : the decisions, written.
+    actions, orders : proposal in each environment, (e,), and order of the alternatives, (e, actions or 0), see
+        `decide`.
+    given : buffer for an action, (2,).
+    rows, off_road : bodies after each frame, (e, F, m, 7), and whether the ego is off the road then, (e, F); written.
+    frequency : frames per second [Hz].
     """
     bench = Bench(lent(shields), lent(law), lent(worlds), lent(room), lent(records))
     for e in range(first, last):
@@ -101,7 +103,7 @@ def step_all_shielded(
             if off:
                 records.tiers[e, k] = _OFF
             elif k == 0 and lane == worlds.g[e, TARGET, 0] and speed == worlds.f[e, TARGET_SPEED, 0]:
-                # The decision has just verified this very frame, with this very target.
+                # The decision has just verified this frame with this target.
                 records.tiers[e, 0], records.reasons[e, 0], records.margins[e, 0] = _PASSED, 0, records.margin[e]
                 records.clauses[e, 0], records.vehicles[e, 0] = records.clause[e], records.vehicle[e]
                 records.lanes[e, 0], records.accelerations[e, 0] = lane, 0.0
@@ -115,7 +117,7 @@ def step_all_shielded(
             off_road[e, k] = not look(worlds, rules, e, rows[e, k])
         finish(machine, worlds, rules, view, work, seen, e)
         if not off and (seen.terminated[e] or seen.truncated[e]):
-            # The last frame of an episode: nothing is decided after it.
+            # The last frame of an episode is observed although no decision follows.
             observe(bench, e)
         records.violations[e] = shields.offences[e] - before
         for k in range(by_rule.shape[0]):

@@ -1,4 +1,4 @@
-"""One frame of one of many environments: what `shield.pipelines.frames.Frames` decides."""
+"""Decision about one frame of one of many environments, as by `shield.pipelines.frames.Frames`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _PRECAUTION = REASONS.index(Reason.PRECAUTION)
 
 @inlined
 def violated(shields: Shields, e: int) -> bool:
-    """Whether anybody who has broken a rule may still be in the way."""
+    """Whether a violator may still be in the way."""
     some = False
     for i in range(shields.offenders.shape[1]):
         some = some or shields.offenders[e, i]
@@ -39,13 +39,14 @@ def violated(shields: Shields, e: int) -> bool:
 
 @inlined
 def forgive(shields: Shields, e: int) -> None:
-    """A plan clears everybody again."""
+    """Clear the violators, when a plan clears every vehicle again."""
     for i in range(shields.offenders.shape[1]):
         shields.offenders[e, i] = False
 
 
 @inlined
 def _keep(records: Records, e: int, k: int, tier: int, reason: int, lane: int, acceleration: float) -> None:
+    """Record a frame, without a margin."""
     records.tiers[e, k], records.reasons[e, k] = tier, reason
     records.lanes[e, k], records.accelerations[e, k] = lane, acceleration
     records.margins[e, k], records.clauses[e, k], records.vehicles[e, k] = float("nan"), NOTHING_BINDS, NOBODY
@@ -53,6 +54,7 @@ def _keep(records: Records, e: int, k: int, tier: int, reason: int, lane: int, a
 
 @inlined
 def _note(records: Records, e: int, k: int, room: Room, i: int) -> None:
+    """Record the margin, clause and vehicle of candidate `i`."""
     plans = room.plans
     records.margins[e, k], records.clauses[e, k], records.vehicles[e, k] = (
         plans.margins[i],
@@ -63,8 +65,8 @@ def _note(records: Records, e: int, k: int, room: Room, i: int) -> None:
 
 @uncounted
 def keep_stored(bench: Bench, e: int) -> float:
-    """Judge the stored plan from now on as candidate 0, without precautions and in view of who has broken no rule; its
-    margin [m]."""
+    """Judge the stored plan from now on as candidate 0, without precautions and without violators. Return its margin
+    [m]."""
     shields, law, room = held(bench.shields), held(bench.law), held(bench.room)
     frames, x = stop_in(shields, law, e, shields.stored[e], room), law.numbers
     scene = lent(bound_of(scene_of(shields, law, e)))
@@ -74,8 +76,8 @@ def keep_stored(bench: Bench, e: int) -> float:
 
 @uncounted
 def _fall_back(bench: Bench, scene: Lent[Scene], e: int, k: int, speed: float) -> None:
-    """The stored plan is kept as long as it clears those who have broken no rule; among what clears them, what clears
-    the others longest is taken."""
+    """Continue the stored plan while it clears the vehicles without a violation. With a violator, choose among the
+    candidates that clear those vehicles the one that clears the violators longest."""
     shields, law, room, records = held(bench.shields), held(bench.law), held(bench.room), held(bench.records)
     offended, stored, plans, braking = violated(shields, e), shields.stored[e], room.plans, law.numbers.braking
     if stored != NOBODY:
@@ -101,8 +103,8 @@ def _fall_back(bench: Bench, scene: Lent[Scene], e: int, k: int, speed: float) -
 
 @uncounted
 def supervise(bench: Bench, e: int, k: int) -> None:
-    """Decide about frame `k` of a decision, to `records`: where its tier is not `PASSED`, a lane and an acceleration
-    take the place of what the ego's controllers ask for."""
+    """Decide about frame `k` of a decision, into `records`. If its tier is not `PASSED`, a lane and an acceleration
+    replace those of the ego's controllers."""
     shields, law, worlds = held(bench.shields), held(bench.law), held(bench.worlds)
     room, records = held(bench.room), held(bench.records)
     lane, speed, braking = worlds.g[e, TARGET, 0], worlds.f[e, TARGET_SPEED, 0], law.numbers.braking

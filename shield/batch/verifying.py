@@ -1,4 +1,4 @@
-"""Candidates judged one after another: each tracks a target for some frames, and then brakes to a stop."""
+"""Judges candidates one after another: each tracks a target for some frames, then brakes to a stop."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["frames_of", "verify"]
 
 @inlined
 def frames_of(law: Law, v: float, most: float, commit: int) -> int:
-    """Frames after which every candidate stands that commits, at speed `v`, to `most` at the most [m/s]; see
+    """Number of frames after which every candidate stands that commits, at speed `v`, to at most `most` [m/s]; see
     `shield.certificate.road.manoeuvres.brake_candidates`."""
     numbers = law.numbers
     decay = 1 - KP_SPEED * numbers.dt if commit == 1 else numbers.decay
@@ -29,8 +29,8 @@ def frames_of(law: Law, v: float, most: float, commit: int) -> int:
 
 @inlined
 def _touches(s: float, r: float, sin: float, cos: float, rear: float, j: int, scene: Scene) -> bool:
-    """Whether the ego's buffer overlaps for sure with where vehicle `j` can be, whose body is no further back than
-    `rear` [m]."""
+    """Whether the ego's buffer certainly overlaps with a place that vehicle `j` can reach; its body is no further back
+    than `rear` [m]."""
     foot, others = scene.foot, scene.around.others
     half = across_of(foot, sin, cos)
     beside = others.low[j] - (r + half) < 0 and (r - half) - others.high[j] < 0
@@ -50,9 +50,19 @@ def _roll(
     suspect: int,
     reached: int,
 ) -> bool:
-    """Roll a candidate to a path (K, 4), see `dynamics.vehicle.rollout_kernels.roll_stop`, with sine and cosine of its
-    headings, `turned`. False as soon as it `_touches` the suspect, after frame `reached` at the least; `rears` (2, m,
-    K) are those of the desk."""
+    """Roll out a candidate to `path`, (K, 4), see `dynamics.vehicle.rollout_kernels.roll_stop`, with the sine and
+    cosine of its headings in `turned`.
+
+    Parameters
+    ----------
+    lines : lateral positions of the target lane and of the lane of the stop [m]. speed : target speed [m/s].
+    commit : number of frames of commitment. rears : of the clauses' workspace, (2, m, K).
+    suspect : vehicle that is checked during the rollout, or `NOBODY`. reached : first frame of this check.
+
+    Returns
+    -------
+    False as soon as the candidate `_touches` the suspect.
+    """
     braking, dt, state, frames = law.numbers.braking, law.numbers.dt, scene.state, path.shape[0]
     s, r, psi, v = state[0], state[1], state[2], state[3]
     sin, cos = math.sin(psi), math.cos(psi)
@@ -75,12 +85,13 @@ def _roll(
 def verify(
     bench: Bench, lent: Lent[Scene], n: int, commit: int, frames: int, hold: int, ignored: BoolArray, first: int
 ) -> int:
-    """Judge the first `n` candidates of the room; where `first` is 1, none after one that verifies, and of those before
-    it only that they do not.
+    """Judge the first `n` candidates of the workspace. With `first` 1, stop at the first that verifies; of those before
+    it, only their failure is known.
 
     Parameters
     ----------
-    lent : the scene. commit, frames : of commitment to the target, and in all. hold, ignored : see `judge`.
+    lent : the scene. commit, frames : number of frames of commitment to the target, and in total.
+    hold, ignored : see `judge`.
 
     Returns
     -------
@@ -92,7 +103,7 @@ def verify(
     if first > 0 and hold == 0 and room.suspect[0] != NOBODY and desk.done[0, room.suspect[0]] >= frames:
         suspect, reached = room.suspect[0], room.suspect[1]
     if frames > room.path.shape[0]:
-        # Faster than there is room for: nothing is verified.
+        # The rollout is longer than the buffer: no candidate verifies.
         for i in range(n):
             plans.margins[i], plans.clear[i], plans.clauses[i], plans.vehicles[i] = -math.inf, 0, 0, NOBODY
         desk.found[0] = 0
@@ -101,7 +112,7 @@ def verify(
     for i in range(n):
         lane, fail = plans.lanes[i], plans.fails[i]
         lines = law.centers[lane], law.centers[fail]
-        # Whoever was in the way of the last one is asked first, while the path is being rolled.
+        # The vehicle that the last candidate failed for is checked first, during the rollout.
         if not _roll(scene, law, lines, plans.speeds[i], commit, path, desk.turned, desk.rears, suspect, reached):
             plans.margins[i] = -math.inf
             continue

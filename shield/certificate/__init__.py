@@ -1,1 +1,1 @@
-"""Three certificates: one road, a network of roads, and simulated traffic."""
+"""Three certificates: for one road, for a network of roads, and for simulated traffic."""

@@ -1,1 +1,1 @@
-"""The shield that knows what the traffic will do: verification by simulation."""
+"""Certificate for simulated traffic: verification by simulating the other vehicles exactly."""

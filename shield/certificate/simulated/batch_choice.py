@@ -1,4 +1,4 @@
-"""Which batch of filtered environments is for what."""
+"""Chooses the class of batched environments for a configuration."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ __all__ = ["batch_for", "highways_for"]
 
 
 def batch_for(env_id: str, config: ShieldConfig) -> type[FilteredHighways]:
-    """What drives so many copies of an environment at once: `ExactRoads` on a road network that is simulated or driven
-    without a shield, on all others `highways_for`; each refuses what it cannot do."""
+    """The class that simulates copies of an environment: `ExactRoads` on a road network with simulated traffic or
+    without a shield, otherwise `highways_for`. Each class refuses what it does not support."""
     alone = config.assumptions.simulated or config.mode == "none"
     return ExactRoads if alone and on_roads(env_id) else highways_for(config)
 
 
 def highways_for(config: ShieldConfig) -> type[FilteredHighways]:
-    """What settings are for: `ExactHighways` where the traffic is simulated, `ShieldedHighways` elsewhere."""
+    """`ExactHighways` for simulated traffic, otherwise `ShieldedHighways`."""
     return ExactHighways if config.assumptions.simulated else ShieldedHighways

@@ -1,4 +1,4 @@
-"""The plan that comes closest to what was proposed: a search with one future for each lane, speed and time."""
+"""Search for the plan closest to the proposal, with one future for each lane, speed and time."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ __all__ = ["best_plan", "clear_plan", "closest_plan", "stopping", "wish_of"]
 
 @uncounted
 def wish_of(search: Search, target_speed: float, action: int) -> Wish:
-    """Where an action that is held on to leads from a target speed [m/s]: of what is as fast, to the right, but for who
-    asks for a side."""
+    """Target command of an action that is repeated, from a target speed [m/s]. At equal speed the right lane is
+    preferred, unless the action is a lane change."""
     label, speeds, bounds = search.rules.labels[action], search.rules.target_speeds, search.bounds
     speed, left, right = target_speed, 0.0, bounds.keep_right
     if label == 3:
@@ -33,14 +33,14 @@ def wish_of(search: Search, target_speed: float, action: int) -> Wish:
 
 @uncounted
 def stopping(search: Search) -> Wish:
-    """Nothing but to be slow, and of that to the right."""
+    """Target command to slow down, with a preference for the right lane."""
     return Wish(0.0, 0.0, search.bounds.keep_right)
 
 
 @uncounted
 def _bound_to_lose(search: Search, k: int, decisions: int, wish: float) -> float:
-    """What a future loses against a speed at the least, in so many more decisions [m]: on an empty road, with the
-    target speed at every decision that is furthest that way; nothing where the ego's road has ended."""
+    """Lower bound on the distance that future k loses against a speed in the next `decisions` decisions [m]. It is the
+    loss on an empty road, with the most favourable target speed at each decision; 0 after the end of the ego's road."""
     rules, f, ego = search.rules, search.futures.f[k], ego_in(search, k)
     if on_road(search, k)[1]:
         return 0.0
@@ -60,8 +60,8 @@ def _bound_to_lose(search: Search, k: int, decisions: int, wish: float) -> float
 
 @inlined
 def _next(nodes: Nodes, count: int) -> int:
-    """The open node of least bound, of equals the one of the greatest level and then the least kind; `NOBODY` where
-    none is open."""
+    """The open node with the least bound; among equals the greatest level, then the least kind. `NOBODY` if none is
+    open."""
     best = NOBODY
     for i in range(count):
         if not nodes.open[i]:
@@ -77,7 +77,7 @@ def _next(nodes: Nodes, count: int) -> int:
 
 @inlined
 def _deepest(nodes: Nodes, count: int) -> int:
-    """The node of the greatest level, and of these the one of least cost; `NOBODY` where there is none."""
+    """The node of the greatest level, and among these the one with the least cost; `NOBODY` if there is none."""
     best = NOBODY
     for i in range(count):
         if best == NOBODY or nodes.level[i] > nodes.level[best]:
@@ -93,8 +93,8 @@ def _deepest(nodes: Nodes, count: int) -> int:
 def _expand(
     search: Search, parent: int, count: int, only: int, never: int, depth: int, wish: Wish, floor: float
 ) -> int:
-    """Take every action after a node, or after the present, and keep what is the best way to its lane and speed by
-    then; how many nodes there are."""
+    """Simulate every action from a node, or from the present, and keep the best way to each lane and speed of the next
+    level. Return the number of nodes."""
     futures, speeds, nodes, tried = search.futures, search.rules.target_speeds, search.nodes, search.reached[0]
     spare, first = search.bounds.spare, search.bounds.spare + 1
     level, source = (0, 0) if parent == NOBODY else (nodes.level[parent], first + parent)
@@ -133,7 +133,8 @@ def _expand(
 
 @uncounted
 def _best_node(search: Search, only: int, never: int, depth: int, wish: Wish, floor: float) -> int:
-    """The node that `best_plan` leads to, with its sequence in `search.plan`; `NOBODY` where there is none."""
+    """The last node of the plan that `best_plan` finds, with its sequence in `search.plan`; `NOBODY` if there is
+    none."""
     nodes = search.nodes
     for level in range(depth):
         for k in range(nodes.slots.shape[1]):
@@ -157,22 +158,21 @@ def _best_node(search: Search, only: int, never: int, depth: int, wish: Wish, fl
 
 @uncounted
 def best_plan(search: Search, only: int, never: int, depth: int, wish: Wish, floor: float) -> tuple[int, float]:
-    """The sequence that stays clear for `depth` decisions and loses the least way against a wish, into `search.plan`;
-    where none does, the one that does for most of them.
+    """The sequence that stays clear for `depth` decisions and loses the least distance against a target command, into
+    `search.plan`; if there is none, the longest one.
 
-    A* (Hart, Nilsson and Raphael 1968) with what is lost on an empty road as the bound. Of the futures that are bound
-    for the same lane at the same speed after as many decisions, the one goes on whose bound is least, so it need not
-    find a sequence where there is one.
+    A* (Hart, Nilsson and Raphael 1968), with the loss on an empty road as the bound. Among futures with the same target
+    lane, target speed and number of decisions, only the one with the least bound is kept. So the search may miss a
+    sequence that exists.
 
     Parameters
     ----------
-    only, never : the one action that it begins with, and one that it does not begin with; -1 for any.
-    floor : smallest clearance beyond the buffer that is allowed [m]; where it is negative, the clearance is what is
-        made largest.
+    only, never : the one action that it begins with, and one that it does not begin with; -1 for none.
+    floor : least clearance beyond the buffer [m]. If it is negative, the clearance is maximised instead.
 
     Returns
     -------
-    For how many decisions it stays clear, and its smallest clearance beyond the buffer [m], -inf where it is none.
+    Number of decisions for which it stays clear, and its least clearance beyond the buffer [m], -inf if there is none.
     """
     nodes, node = search.nodes, _best_node(search, only, never, depth, wish, floor)
     if node == NOBODY:
@@ -182,8 +182,8 @@ def best_plan(search: Search, only: int, never: int, depth: int, wish: Wish, flo
 
 @uncounted
 def clear_plan(search: Search, only: int, never: int, wish: Wish) -> float:
-    """The smallest clearance beyond the buffer [m] of what `best_plan` finds, -inf where that does not keep the buffer
-    for all decisions."""
+    """Least clearance beyond the buffer [m] of the plan that `best_plan` finds, -inf if it does not keep the buffer for
+    the whole horizon."""
     nodes, depth, node = (
         search.nodes,
         search.bounds.depth,
@@ -197,9 +197,9 @@ def clear_plan(search: Search, only: int, never: int, wish: Wish) -> float:
 
 @uncounted
 def _go_on_from(search: Search, node: int) -> float:
-    """The smallest clearance beyond the buffer of a sequence for all decisions that begins as a node's does, or at the
-    least with the same action, into `search.plan` [m]; -inf where none is found. The futures up to the node are known.
-    """
+    """Extend the sequence of a node to the whole horizon, or find another with the same first action, into
+    `search.plan`. Return its least clearance beyond the buffer [m], -inf if none is found. The futures up to the node
+    are known."""
     nodes, spare, depth, known = search.nodes, search.bounds.spare, search.bounds.depth, search.nodes.level[node]
     while node != NOBODY:
         level, action = nodes.level[node], nodes.action[node]
@@ -215,13 +215,13 @@ def _go_on_from(search: Search, node: int) -> float:
 
 @uncounted
 def closest_plan(search: Search, proposed: int, wish: Wish) -> float:
-    """The sequence that does not begin with the proposal, stays clear for all decisions, and loses the least way
-    against a wish over the first `outlook` of them, into `search.plan`; its smallest clearance beyond the buffer [m],
-    -inf where none is found."""
+    """The sequence that does not begin with the proposal, stays clear for the whole horizon, and loses the least
+    distance against a target command over its first `outlook` decisions, into `search.plan`. Return its least clearance
+    beyond the buffer [m], -inf if none is found."""
     outlook, node = search.bounds.outlook, _best_node(search, ANY, proposed, search.bounds.outlook, wish, 0.0)
     if node == NOBODY or search.nodes.level[node] < outlook:
         return -np.inf
     margin = _go_on_from(search, node)
-    # What ends in the way keeps the buffer: it is no use to look for another that is as far by then.
+    # A sequence that ends on a crossing keeps the buffer: another one need not be searched for.
     refused = search.resting.margin[0] >= 0.0
     return margin if margin >= 0 or refused else clear_plan(search, ANY, proposed, wish)

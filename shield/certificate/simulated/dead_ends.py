@@ -1,8 +1,9 @@
-"""Where a search in depth has found no way on: what comes about there again is given up at once.
+"""Dead-end table (transposition table): states from which a depth-first search has found no continuation. A search that
+reaches such a state again gives it up at once.
 
-A search that goes back and forth at the end of a long way comes to about the same place again and again by other
-actions: whoever is blocked there is blocked there. It is no proof, since the others may have answered those actions
-otherwise, so a way may be missed; none is found that is not there.
+A depth-first search reaches about the same state again and again by other actions, and a blocked ego remains blocked
+there. That is no proof, since the other vehicles may respond differently to those actions. So the search may miss a
+sequence, but it never finds one that does not exist.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ from shield.certificate.simulated.workspace import Search
 __all__ = ["bury", "forget_dead", "is_dead"]
 
 _NEAR, _AS_FAST = 1.0, 0.5
-"""What is about the same: so far apart along each axis [m], and so much faster or slower [m/s]."""
+"""Tolerances within which two states count as the same: distance along each axis [m], and speed [m/s]."""
 
 
 @uncounted
 def is_dead(search: Search, k: int) -> bool:
-    """Whether future k, that of so many decisions, is about where no way was found that goes on."""
+    """Whether future k, after k decisions, is close to a dead end."""
     f, ego, states = search.futures.f[k], ego_in(search, k), search.dead.states[k]
     lane = search.futures.g[k, TARGET, ego]
     for i in range(min(search.dead.buried[k], states.shape[0])):
@@ -33,7 +34,7 @@ def is_dead(search: Search, k: int) -> bool:
 
 @uncounted
 def bury(search: Search, k: int) -> None:
-    """Remember that no way goes on from future k."""
+    """Store future k as a dead end."""
     f, ego, dead = search.futures.f[k], ego_in(search, k), search.dead
     row = dead.states[k, dead.buried[k] % dead.states.shape[1]]
     dead.buried[k] += 1
@@ -43,6 +44,6 @@ def bury(search: Search, k: int) -> None:
 
 @uncounted
 def forget_dead(search: Search) -> None:
-    """Of another present, or another floor."""
+    """Clear the dead-end table; call when the root state or the clearance threshold changes."""
     for k in range(search.dead.buried.shape[0]):
         search.dead.buried[k] = 0

@@ -1,4 +1,4 @@
-"""One decision by simulation: which action is taken, and why."""
+"""One decision with simulated traffic: the executed action and the reason for it."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ _ANYTHING = -1e9
 
 
 class Plans(NamedTuple):
-    """What is remembered of each environment.
+    """The stored sequence of each environment.
 
     Attributes
     ----------
-    actions : from the present on, (e, depth). length : how many of them there are, (e,).
-    verified : whether they keep the buffer; otherwise nothing did that was found, (e,).
+    actions : from the present on, (e, depth). length : number of them, (e,).
+    verified : whether they keep the buffer; if not, no sequence was found that does, (e,).
     """
 
     actions: IntArray
@@ -47,13 +47,13 @@ class Plans(NamedTuple):
 
 
 def empty_plans(e: int, depth: int) -> Plans:
-    """Of environments before their first decision."""
+    """The stored sequences before the first decision."""
     return Plans(np.zeros((e, depth), np.intp), np.zeros(e, np.intp), np.ones(e, np.bool_))
 
 
 @uncounted
 def _execute(records: Records, plans: Plans, e: int, plan: IntArray, length: int, tier: int, reason: int) -> None:
-    """Take the first action of a plan, and remember the others."""
+    """Execute the first action of a plan, and store the others."""
     records.executed[e], records.tier[e], records.reason[e] = plan[0], tier, reason
     for k in range(1, length):
         plans.actions[e, k - 1] = plan[k]
@@ -64,7 +64,7 @@ def _execute(records: Records, plans: Plans, e: int, plan: IntArray, length: int
 
 @uncounted
 def last_resort(records: Records, plans: Plans, e: int, slower: int, reason: int) -> None:
-    """Nothing can be judged: play the stored plan on, or slow down; into `records`."""
+    """If no action can be judged: continue the stored sequence, or slow down; into `records`."""
     length, records.margin[e] = plans.length[e], math.nan
     if length > 0:
         _execute(records, plans, e, plans.actions[e], length, _STORED, reason)
@@ -74,9 +74,12 @@ def last_resort(records: Records, plans: Plans, e: int, slower: int, reason: int
 
 @uncounted
 def verify(search: Search, action: int, stored: IntArray, length: int, twice: bool) -> float:
-    """The smallest clearance beyond the buffer of a sequence that begins with an action, into `search.plan` [m]: -inf
-    where none is found that keeps the buffer for all decisions, in depth first, and then, where asked twice on a
-    straight highway, over lanes and speeds."""
+    """Least clearance beyond the buffer of a sequence that begins with an action, into `search.plan` [m]; -inf if none
+    is found that keeps the buffer for the whole horizon.
+
+    The depth-first search comes first. With `twice`, on a straight highway, the search over lanes and speeds follows if
+    the budget of the first was spent.
+    """
     margin, exhausted = survives(search, action, stored, length)
     if margin < 0 and exhausted and twice and search.bounds.straight:
         margin = clear_plan(search, action, ANY, stopping(search))
@@ -85,7 +88,7 @@ def verify(search: Search, action: int, stored: IntArray, length: int, twice: bo
 
 @uncounted
 def boxed_in(plans: Plans, e: int) -> bool:
-    """Whether nothing was found at the last decision that keeps the buffer: then each question is asked once."""
+    """Whether the last decision found no sequence that keeps the buffer: then each action gets only one search."""
     return plans.length[e] > 0 and not plans.verified[e]
 
 
@@ -97,17 +100,19 @@ def _copy(source: IntArray, target: IntArray, length: int) -> None:
 
 @uncounted
 def longest(search: Search, stored: IntArray, length: int) -> tuple[int, float]:
-    """The sequence without a crash that lasts longest, and of those that last the one that is most clear, as far as it
-    is found, into `search.plan`: what was planned, gone on with from its end, where that lasts; else also over lanes
-    and speeds, and that gone on with.
+    """The longest sequence without a crash, and among those for the whole horizon the one with the largest clearance
+    found, into `search.plan`.
+
+    The stored sequence is extended from its end. If the result is shorter than the horizon, a search over lanes and
+    speeds follows, and its result is extended in the same way.
 
     Parameters
     ----------
-    stored, length : what was planned, as of `in_depth`.
+    stored, length : the stored sequence, as in `in_depth`.
 
     Returns
     -------
-    How many decisions it lasts, and its smallest clearance beyond the buffer [m].
+    Number of decisions that the sequence lasts, and its least clearance beyond the buffer [m].
     """
     depth, lasts, margin = search.bounds.depth, 0, -np.inf
     try_once_more(search)
@@ -120,7 +125,8 @@ def longest(search: Search, stored: IntArray, length: int) -> tuple[int, float]:
             lasts, margin = further, clear
             _copy(search.plan, search.hint, lasts)
     if lasts < depth:
-        # It keeps one future for each lane and speed, and the one that is most clear now may stand where it is hit.
+        # That search keeps one future for each lane and speed. The future with the largest clearance now may still be
+        # hit later.
         forget_dead(search)
         further, clear, _ = in_depth(search, ANY, search.hint, lasts, 0, _ANYTHING, search.bounds.budget)
         if further > lasts:
@@ -133,8 +139,8 @@ def longest(search: Search, stored: IntArray, length: int) -> tuple[int, float]:
 
 @uncounted
 def passes(search: Search, plans: Plans, records: Records, worlds: Any, e: int, proposed: int) -> bool:
-    """Whether a proposal is executed as it is, or is no action at all, so that a stored plan or slowing down takes its
-    place; into `records`."""
+    """Whether the decision is made by the proposal alone, into `records`: it verifies, or it is no valid action, so
+    that the stored sequence or slowing down replaces it."""
     records.proposed[e], records.clause[e], records.vehicle[e] = proposed, 0, -1
     enter(search, worlds, e)
     if not 0 <= proposed < search.order.shape[0]:
@@ -150,7 +156,7 @@ def passes(search: Search, plans: Plans, records: Records, worlds: Any, e: int, 
 
 @uncounted
 def replace(search: Search, plans: Plans, records: Records, e: int, proposed: int, order: IntArray) -> None:
-    """What takes the place of a proposal that does not pass, into `records`; see `decide`."""
+    """Choose and record the action that replaces a proposal that does not verify; see `decide`."""
     n, stored, length, margin = search.order.shape[0], plans.actions[e], plans.length[e], -np.inf
     ranked, now = order.shape[0] > 0 and order[0] >= 0, search.futures.f[0, TARGET_SPEED, ego_in(search, 0)]
     once, wish = boxed_in(plans, e), wish_of(search, now, proposed)
@@ -167,10 +173,10 @@ def replace(search: Search, plans: Plans, records: Records, e: int, proposed: in
         if ranked:
             margin = verify(search, action, stored, length, not once)
         else:
-            # The search over lanes and speeds has been through all of them.
+            # The search over lanes and speeds has tried all actions already.
             margin, _ = survives(search, action, stored, length)
     if margin < 0 and length > 0 and not once:
-        # What was planned keeps the buffer to its end, from where it may go on.
+        # The stored sequence keeps the buffer to its end, from where it may be extended.
         try_once_more(search)
         margin, _ = survives(search, ANY, stored, length)
     if margin < 0 and search.resting.margin[0] >= 0:
@@ -190,15 +196,15 @@ def replace(search: Search, plans: Plans, records: Records, e: int, proposed: in
 def decide(search: Search, plans: Plans, records: Records, worlds: Any, e: int, proposed: int, order: IntArray) -> None:
     """Decide about one proposal, into `records`.
 
-    It passes where some sequence that begins with it keeps the buffer for all decisions. Otherwise the first of the
-    others that does is taken, in the policy's order where there is one; without an order, the one that comes closest to
-    where the proposal leads (`closest_plan`). Where nothing keeps the buffer, what goes without a crash longest; the
-    decision after it is content with one search for each question.
+    The proposal is executed if some sequence that begins with it keeps the buffer for the whole horizon. Otherwise the
+    first alternative that does is executed, in the policy's order. Without an order, it is the one closest to where the
+    proposal leads (`closest_plan`). If no action keeps the buffer, the longest sequence without a crash is executed;
+    the next decision then uses one search for each action.
 
     Parameters
     ----------
-    proposed : the action; out of range, a stored plan or slowing down takes its place. order : the policy's order of
-        preference over the others, which ends with the first negative one; may be empty.
+    proposed : index of the action; if it is out of range, the stored sequence or slowing down replaces it.
+    order : the policy's order of preference among the other actions, up to the first negative entry; may be empty.
     """
     if not passes(search, plans, records, worlds, e, proposed):
         replace(search, plans, records, e, proposed, order)

@@ -17,12 +17,12 @@ __all__ = ["ExactHighways"]
 
 
 class ExactHighways(FilteredHighways):
-    """So many copies of `highway-v0` or `highway-fast-v0` with meta-actions, each behind what `Shield` with
-    `ShieldConfig.simulated_traffic()` and `frames=False` is around one of them: the same decisions.
+    """Copies of `highway-v0` or `highway-fast-v0` with meta-actions. Each has a filter with the same decisions as
+    `Shield` with `ShieldConfig.simulated_traffic()` and `frames=False` around one environment.
 
     Parameters
     ----------
-    env_id, num_envs, config, threads, tape : as of `Simulator`.
+    env_id, num_envs, config, threads, tape : as in `Simulator`.
     shield : settings with `Assumptions.simulated_traffic()`, or the path of a TOML file with them; by default
         `ShieldConfig.simulated_traffic()`.
 
@@ -33,8 +33,8 @@ class ExactHighways(FilteredHighways):
 
     Attributes
     ----------
-    simulator, records, rows, off_road : as of `FilteredHighways`.
-    plans : what is remembered (`shield.certificate.simulated.decision_kernels.Plans`).
+    simulator, records, rows, off_road : as in `FilteredHighways`.
+    plans : the stored sequences (`shield.certificate.simulated.decision_kernels.Plans`).
 
     Examples
     --------

@@ -1,9 +1,9 @@
-"""A frame of throttle and steering by simulation: good where the ego can be brought to a good end after it.
+"""Verifies one frame of throttle and steering by simulation: after it, a backup controller has to keep the buffer.
 
-That end is brought about by a law of the shield's own, highway-env's controllers of lanes and speeds: as meta-actions
-are searched for in `search`, so are the sequences of lanes and speeds that the law is to hold. An input passes where
-some sequence after one frame of it stays clear for so many decisions. That sequence is remembered. It can be carried
-out a frame later, so there is always something to fall back on.
+The backup controller consists of highway-env's lane and speed controllers. The search for its sequence of target lanes
+and speeds is that for meta-actions (`search`). An input verifies if, after one frame of it, some sequence keeps the
+buffer for the whole horizon. This sequence is stored and can be executed from the next frame on, so there is always a
+fallback.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ _PASSED, _GOVERNED, _STORED, _ALTERNATIVE, _LARGEST = (
 )
 _THROTTLE, _WHEEL, _NEITHER = range(3)
 _HALVINGS = 3
-"""How often the way from the law's input to the proposal is halved."""
+"""Number of bisections between the backup controller's input and the proposal."""
 
 
 class Tail(NamedTuple):
-    """What the law is to do next.
+    """The stored sequence of the backup controller.
 
     Attributes
     ----------
-    actions : lanes and speeds, as meta-actions, (depth,).
-    counts : how many of them there are, and the frames that are left of the one that has begun, (2,).
+    actions : target lanes and speeds, as meta-actions, (depth,).
+    counts : number of remaining actions, and remaining frames of the action that has begun, (2,).
     """
 
     actions: IntArray
@@ -48,12 +48,13 @@ class Tail(NamedTuple):
 
 
 def empty_tail(depth: int) -> Tail:
-    """Of an episode before its first decision."""
+    """The stored sequence before the first decision of an episode."""
     return Tail(np.zeros(depth, np.intp), np.zeros(2, np.intp))
 
 
 @uncounted
 def _store(search: Search, tail: Tail, length: int) -> None:
+    """Store the first `length` actions of `search.plan`."""
     for k in range(length):
         tail.actions[k] = search.plan[k]
     tail.counts[0], tail.counts[1] = length, 0
@@ -61,10 +62,11 @@ def _store(search: Search, tail: Tail, length: int) -> None:
 
 @uncounted
 def _goes_on(search: Search, tail: Tail) -> float:
-    """The smallest clearance beyond the buffer of what the law can do from future 0 on, into `search.plan` [m]; -inf
-    where neither stopping, nor what was to come, going on or speeding up, nor what is close to these, stays clear.
+    """Search for a continuation of the backup controller from future 0, into `search.plan`. The stored sequence,
+    stopping, keeping the speed, speeding up, and sequences close to these are tried.
 
-    Stopping comes first: who stands in the end has more than the horizon before him.
+    Stopping is tried first: an ego that stands at the end is clear beyond the horizon. Return the least clearance
+    beyond the buffer [m], -inf if none stays clear.
     """
     depth, n, stops = search.bounds.depth, search.order.shape[0], True
     for i in range(tail.counts[0]):
@@ -72,7 +74,7 @@ def _goes_on(search: Search, tail: Tail) -> float:
     for k in range(-1, 3):
         length, first = tail.counts[0], tail.actions[0]
         if k != 0:
-            # The order begins with slowing down and nothing, and ends with speeding up.
+            # The order begins with slowing down and keeping the speed, and ends with speeding up.
             length, first = depth, search.order[0 if k < 0 else 1 if k == 1 else n - 1]
             for i in range(depth):
                 search.hint[i] = first
@@ -86,8 +88,8 @@ def _goes_on(search: Search, tail: Tail) -> float:
 
 @uncounted
 def _after(search: Search, present: Search, tail: Tail, throttle: float, wheel: float) -> float:
-    """The smallest clearance beyond the buffer of a frame of an input and what the law can do then, into `search.plan`
-    [m]; -inf where nothing stays clear.
+    """Least clearance beyond the buffer of one frame of an input and the best continuation of the backup controller,
+    into `search.plan` [m]; -inf if none stays clear.
 
     Parameters
     ----------
@@ -109,7 +111,8 @@ def _after(search: Search, present: Search, tail: Tail, throttle: float, wheel: 
 
 @uncounted
 def play(present: Search, tail: Tail, inputs: FloatArray) -> None:
-    """Advance the present by a frame of the law, and give its acceleration [m/s^2] and wheel [rad] into `inputs`."""
+    """Advance the present by one frame of the backup controller. Its acceleration [m/s^2] and front wheel angle [rad]
+    are written to `inputs`, (2,)."""
     futures, actions, counts = present.futures, tail.actions, tail.counts
     if counts[1] == 0 and counts[0] > 0:
         present.given[0], present.given[1] = actions[0], 0.0
@@ -125,7 +128,7 @@ def play(present: Search, tail: Tail, inputs: FloatArray) -> None:
 
 @uncounted
 def _take(present: Search, inputs: FloatArray, throttle: float, wheel: float) -> None:
-    """Advance the present by a frame of an input."""
+    """Advance the present by one frame of an input, and write it to `inputs`."""
     hold(present, 0, throttle, wheel)
     frame(present, 0, sorted_in(present, 0))
     inputs[0], inputs[1] = throttle, wheel
@@ -133,7 +136,8 @@ def _take(present: Search, inputs: FloatArray, throttle: float, wheel: float) ->
 
 @uncounted
 def _peek(search: Search, present: Search, tail: Tail, inputs: FloatArray) -> None:
-    """The law's next acceleration [m/s^2] and wheel [rad]; nothing moves."""
+    """Write the next acceleration [m/s^2] and front wheel angle [rad] of the backup controller to `inputs`, without
+    advancing the present."""
     futures = search.futures
     look_from(search, present.futures, 0)
     if tail.counts[1] == 0 and tail.counts[0] > 0:
@@ -146,8 +150,8 @@ def _peek(search: Search, present: Search, tail: Tail, inputs: FloatArray) -> No
 
 @uncounted
 def _anew(search: Search, present: Search, tail: Tail) -> tuple[int, float]:
-    """A sequence from now on, as the tail: one that keeps the buffer, or else the one that lasts longest; the tier, and
-    its smallest clearance beyond the buffer [m]."""
+    """Find and store a new sequence: one that keeps the buffer, otherwise the one that lasts longest. Return the tier,
+    and the least clearance beyond the buffer [m]."""
     depth = search.bounds.depth
     look_from(search, present.futures, 0)
     for k in range(search.order.shape[0]):
@@ -166,7 +170,8 @@ def _anew(search: Search, present: Search, tail: Tail) -> tuple[int, float]:
 
 @inlined
 def _between(proposal: FloatArray, inputs: FloatArray, kept: int, share: float) -> tuple[float, float]:
-    """What lies so far from the law's input to the proposal, of which one may be kept."""
+    """Input at `share` of the distance from the backup controller's input to the proposal; the component `kept` is that
+    of the proposal."""
     throttle = inputs[0] + (1.0 if kept == _THROTTLE else share) * (proposal[0] - inputs[0])
     return throttle, inputs[1] + (1.0 if kept == _WHEEL else share) * (proposal[1] - inputs[1])
 
@@ -175,8 +180,13 @@ def _between(proposal: FloatArray, inputs: FloatArray, kept: int, share: float) 
 def _nearest(
     search: Search, present: Search, tail: Tail, proposal: FloatArray, inputs: FloatArray, kept: int
 ) -> tuple[float, float]:
-    """How far from the law's input to the proposal it verifies, by halving, where one of them is kept; negative where
-    it does not. And the smallest clearance beyond the buffer [m]. The tail is what goes with it."""
+    """Bisect between the backup controller's input and the proposal for the nearest input that verifies, with the
+    component `kept` from the proposal. The sequence that follows it is stored.
+
+    Returns
+    -------
+    Share of the distance to the proposal, negative if no input verifies; and least clearance beyond the buffer [m].
+    """
     best, margin, share, width = -1.0, -np.inf, 0.5, 0.25
     if kept != _NEITHER:
         throttle, wheel = _between(proposal, inputs, kept, 0.0)
@@ -201,17 +211,18 @@ def decide_inputs(
 ) -> tuple[int, float]:
     """Decide about one frame, and advance the present by it.
 
-    The proposal passes where the law can go on after it. Otherwise it is brought nearer to the law's input, as little
-    as halving finds to do: the wheel alone, else the throttle alone, else both. Otherwise the law's is taken.
+    The proposal is executed if the backup controller keeps the buffer after it. Otherwise it is moved towards the
+    backup controller's input, by the least amount that bisection finds: the wheel alone, else the throttle alone, else
+    both. If none of these verifies, the backup controller's input is executed.
 
     Parameters
     ----------
-    present : a search whose first future is the present. known : whether there is a proposal.
-    proposal : acceleration [m/s^2] and front wheel angle [rad], (2,). inputs : what is carried out, (2,), written.
+    present : a search with the present in future 0. tail : the stored sequence. known : whether there is a proposal.
+    proposal : acceleration [m/s^2] and front wheel angle [rad], (2,). inputs : the executed input, (2,), written.
 
     Returns
     -------
-    The tier (see `vocabulary`), and the smallest clearance beyond the buffer [m], NaN where it was not searched for.
+    The tier (see `shield.batch.codes`), and the least clearance beyond the buffer [m], NaN if it was not computed.
     """
     margin = _after(search, present, tail, proposal[0], proposal[1]) if known else -np.inf
     if margin >= 0:
@@ -223,7 +234,7 @@ def decide_inputs(
         tier, margin = _anew(search, present, tail)
         if tier == _LARGEST:
             play(present, tail, inputs)
-            # Who has nothing that keeps the buffer looks for it again in the next frame.
+            # Without a sequence that keeps the buffer, the search is repeated in the next frame.
             tail.counts[0], tail.counts[1] = 0, 0
             return tier, margin
     if known:
@@ -234,7 +245,7 @@ def decide_inputs(
                 _take(present, inputs, *_between(proposal, inputs, kept, share))
                 return _GOVERNED, found
     if tail.counts[1] == 0 and tier == _STORED:
-        # The plan is not played to its end, where it can be gone on with.
+        # The stored sequence is replaced before its end if it can be extended.
         look_from(search, present.futures, 0)
         if _goes_on(search, tail) >= 0:
             _store(search, tail, search.bounds.depth)

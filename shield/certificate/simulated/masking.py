@@ -1,4 +1,4 @@
-"""Which actions pass in many environments: what `shield.filters.simulated.meta_actions.ExactDoor.mask` finds."""
+"""Action masks of many environments, as `shield.filters.simulated.meta_actions.ExactDoor.mask` computes them."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ __all__ = ["mask_all"]
 
 @uncounted
 def mask_all(search: Search, worlds: Any, plans: Plans, masks: BoolArray, first: int, last: int) -> None:
-    """Which actions pass in each of the environments from `first` to `last`, (e, actions), filled in; the plans stay as
-    they are."""
+    """Fill in the actions that verify in each of the environments from `first` to `last`, (e, actions). The stored
+    sequences do not change."""
     for e in range(first, last):
         enter(search, worlds, e)
         twice = not boxed_in(plans, e)
         for k in range(masks.shape[1]):
-            # What is remembered of one would be a hint for the next, and `decide` has none.
+            # The dead ends of one action would influence the next, and `decide` has none at this point.
             begin_anew(search)
             masks[e, k] = verify(search, k, plans.actions[e], plans.length[e], twice) >= 0

@@ -1,7 +1,7 @@
-"""How many decisions may be simulated to make one: what the searches of it have between them.
+"""Node budget: number of decisions that may be simulated for one decision, shared by all its searches.
 
-Where nothing keeps the buffer, every search goes on until it has been through all that it may; so they share what that
-is, and a decision there takes no longer than this.
+If no sequence keeps the buffer, every search uses its whole budget. The shared budget bounds the time of such a
+decision.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ __all__ = ["begin_anew", "may_go_on", "try_once_more"]
 
 @uncounted
 def _allow(search: Search, decisions: int) -> None:
-    """So many may be simulated from now on."""
+    """Allow `decisions` more from now on."""
     search.spent[1] = search.spent[0] + decisions
 
 
 @uncounted
 def begin_anew(search: Search) -> None:
-    """As if nothing had been searched for in the present yet."""
+    """Reset the budget and the dead-end table for a new root state."""
     forget_dead(search)
     search.spent[0] = 0
     _allow(search, search.bounds.effort)
@@ -29,12 +29,12 @@ def begin_anew(search: Search) -> None:
 
 @uncounted
 def try_once_more(search: Search) -> None:
-    """All that was searched for was in vain: what comes now has an effort of its own, and no dead ends to avoid."""
+    """Give the last searches a budget of their own and an empty dead-end table, after all others have failed."""
     forget_dead(search)
     _allow(search, search.bounds.last)
 
 
 @uncounted
 def may_go_on(search: Search) -> bool:
-    """Whether any more may be."""
+    """Whether any budget is left."""
     return bool(search.spent[0] < search.spent[1])

@@ -1,4 +1,4 @@
-"""What would have happened after a proposal that was refused."""
+"""Simulates the outcome of a refused proposal."""
 
 from __future__ import annotations
 
@@ -19,18 +19,19 @@ __all__ = ["foretell_refused"]
 def foretell_refused(
     search: Search, worlds: Any, action: int, inputs: FloatArray, planned: IntArray, rows: FloatArray
 ) -> tuple[int, int]:
-    """What comes of a proposal, and then of what stays clear longest after it, until no action keeps the buffer.
+    """Simulate a proposal, followed by the actions that stay clear longest after it, until no action keeps the buffer.
 
     Parameters
     ----------
     worlds : the present, in its first scene.
-    action : the proposal. inputs : in its place acceleration [m/s^2] and front wheel angle [rad] for a frame, (2,), NaN
-        without; the action is `ANY` then.
-    planned : what is tried first after it. rows : as of `foretell`, of which two more frames than of all decisions.
+    action : the proposal. inputs : instead of it, acceleration [m/s^2] and front wheel angle [rad] for one frame, (2,);
+        NaN if there are none. With inputs the action is `ANY`.
+    planned : actions that are tried first after it.
+    rows : as in `foretell`, with room for two more frames than the horizon.
 
     Returns
     -------
-    How many rows there are, the present first, and the column of the ego.
+    Number of rows written, the present first; and the column of the ego.
     """
     depth, before, worst = search.bounds.depth, 0, search.order[0]
     enter(search, worlds, 0)
@@ -39,7 +40,7 @@ def foretell_refused(
         hold(search, 0, inputs[0], inputs[1])
         frame(search, 0, sorted_in(search, 0))
     lasts, _, _ = in_depth(search, action, planned, planned.shape[0], 0, 0.0, 2 * depth)
-    # The buffer is kept so far; what comes after it is whatever slows down.
+    # Up to here the buffer is kept; afterwards the ego slows down.
     for k in range(lasts, depth):
         search.plan[k] = worst
     if lasts == 0 and action != ANY:

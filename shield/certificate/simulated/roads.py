@@ -42,17 +42,17 @@ __all__ = ["ExactRoads"]
 
 _OFF = TIERS.index(Tier.OFF)
 _ENDLESS = 1_000
-"""Decisions that are enough where an episode has no end but one on the road."""
+"""Number of decisions that suffices if an episode ends only at a place on the road."""
 
 
 class ExactRoads(ExactHighways):
-    """So many copies of an environment on a road network with meta-actions, each behind what `Shield` with
-    `ShieldConfig.simulated_traffic()` and `frames=False` is around one of them: the same decisions.
+    """Copies of an environment on a road network with meta-actions. Each has a filter with the same decisions as
+    `Shield` with `ShieldConfig.simulated_traffic()` and `frames=False` around one environment.
 
     Parameters
     ----------
-    env_id, num_envs, config, threads : as of `RoadSimulator`.
-    shield : as of `ExactHighways`, or settings of mode "none": what is proposed is executed.
+    env_id, num_envs, config, threads : as in `RoadSimulator`.
+    shield : as in `ExactHighways`, or settings of mode "none": the proposals are executed.
 
     Raises
     ------
@@ -61,9 +61,9 @@ class ExactRoads(ExactHighways):
 
     Attributes
     ----------
-    simulator, records, plans : as of `ExactHighways`.
-    rows, off_road : the bodies after each frame, the ego first; where there are fewer than the most that may be, the
-        others are infinitely far. Whether the ego was off the road.
+    simulator, records, plans : as in `ExactHighways`.
+    rows : vehicle rows after each frame, the ego first. Rows beyond the number of bodies are infinitely far away.
+    off_road : whether the ego was off the road.
 
     Examples
     --------
@@ -90,14 +90,16 @@ class ExactRoads(ExactHighways):
         simulator, rules = self.simulator, self.simulator.rules
         self._works = [simulator.episode_work() for _ in range(threads)]
         if simulator.scenario.kind == CROSSING:
-            # Who leaves is gone when a decision ends. The roads know when that is; a search counts its frames.
+            # A vehicle that leaves is removed at the end of a decision. The roads count decisions; a search counts its
+            # frames.
             frames = rules.numbers[0]
             phase = int(simulator.episodes.worlds.g[0, FRAMES, 0] % frames)
             rules = rules._replace(customs=rules.customs._replace(stay=frames, phase=phase))
             self._searches = [search._replace(rules=rules) for search in self._searches]
 
     def look(self, e: int, rows: FloatArray) -> bool:
-        """The bodies of one environment as rows (m, 7), see `rows`; whether the ego is on the road."""
+        """Write the bodies of one environment to `rows`, (m, 7), in the order of the attribute `rows`. Return whether
+        the ego is on the road."""
         return bool(_look(self.worlds, self.simulator.scenario.rules, e, rows))
 
     @property
@@ -107,7 +109,7 @@ class ExactRoads(ExactHighways):
         return worlds
 
     def one(self) -> gym.Env[Any, Any]:
-        """One such environment, unfiltered, reset."""
+        """One such environment without a filter, reset."""
         scenario = self.simulator.scenario
         env = make(scenario.env_id, scenario.config)
         env.reset(seed=0)
@@ -115,13 +117,14 @@ class ExactRoads(ExactHighways):
 
     @property
     def steps(self) -> int:
-        """As many decisions as an episode has, and one more; `_ENDLESS` where only a place on the road ends it."""
+        """Upper bound on the decisions of an episode, plus one; `_ENDLESS` if an episode ends only at a place on the
+        road."""
         worth, decision = self.simulator.scenario.rules.worth, self.simulator.rules.times[1]
         most = min(worth.duration / decision, worth.decisions or math.inf, _ENDLESS)
         return math.ceil(most) + 1
 
     def reset_to(self, shares: FloatArray, which: Any) -> Any:
-        """Not on these roads.
+        """Not supported on road networks.
 
         Raises
         ------
@@ -191,11 +194,11 @@ def _step_all(
     last: int,
     again: bool,
 ) -> None:
-    """A decision in each of the environments from `first` to `last`; see `step_kernels.step_all_exact`.
+    """One decision in each of the environments from `first` to `last`; see `step_kernels.step_all_exact`.
 
     Parameters
     ----------
-    off : whether what is proposed is executed, unverified.
+    off : whether the proposals are executed without verification.
     """
     machine, worlds = search.machine, episodes.worlds
     for e in range(first, last):
@@ -210,7 +213,7 @@ def _step_all(
             advance(machine, worlds, rules.drive, work.drive, e)
             off_road[e, k] = not _look(worlds, rules, e, rows[e, k])
         finish(machine, episodes, rules, work, seen, e, search.given)
-        # The traffic is what was simulated: whoever was there cannot do otherwise.
+        # The traffic is the one that was simulated, so no vehicle present can deviate.
         records.violations[e] = 0
         if again and (seen.terminated[e] or seen.truncated[e]):
             again_at(machine, episodes, rules, work, seen, e)

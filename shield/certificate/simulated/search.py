@@ -1,8 +1,10 @@
-"""Whether a meta-action can be gone on with: a depth-first search in the traffic's exact future.
+"""Depth-first search for a sequence of meta-actions that keeps the buffer in the exact future of the traffic.
 
-The traffic of a straight highway draws nothing at random after the reset, so `dynamics.highway_simulator` tells what
-every vehicle does after every action of the ego, its answers to the ego included. An action is good where *some*
-sequence of actions that begins with it stays clear for so many decisions.
+The traffic of a straight highway draws no random numbers after the reset. So `dynamics.highway_simulator` computes what
+every vehicle does after every action of the ego, its response to the ego included. An action verifies if *some*
+sequence of actions that begins with it keeps the buffer for `depth` decisions.
+
+A *future* is a copy of the traffic's state, in which the search simulates; future 0 is the present.
 """
 
 from __future__ import annotations
@@ -61,16 +63,18 @@ __all__ = [
 ]
 
 _AT_REST = 1.0
-"""Who is slower stands, or is about to [m/s]."""
+"""Speed below which the ego counts as standing [m/s]."""
 _LEAVE = 2
-"""Decisions that may be simulated for each ahead to find a sequence that does not end in the way; one the next time."""
+"""Decisions that may be simulated, for each decision of the horizon, to find a sequence that does not end on a
+crossing. From the second search on it is one."""
 _JOIN = 2 / 3
-"""How much of its budget a sequence that begins otherwise than what was planned may spend on joining it again."""
+"""Share of its budget that a sequence may spend on joining the stored sequence again, if it begins with another
+action."""
 
 
 @uncounted
 def copy_state(worlds: Any, e: int, futures: Any, k: int) -> None:
-    """Copy what moves of one environment into a future."""
+    """Copy the moving state of one environment to a future."""
     f, g, f0, g0 = futures.f[k], futures.g[k], worlds.f[e], worlds.g[e]
     for i in range(f.shape[0]):
         for j in range(f.shape[1]):
@@ -91,7 +95,7 @@ def copy_future(search: Search, source: int, target: int) -> None:
 
 @uncounted
 def look_from(search: Search, worlds: Any, e: int) -> None:
-    """Make a state the first future of a search, as `enter` does, where nobody has come or gone since that."""
+    """Copy a state to future 0, like `enter`, for the same vehicles as at the last `enter`."""
     copy_state(worlds, e, search.futures, 0)
     begin_anew(search)
     search.resting.margin[0], search.resting.allowed[0] = -np.inf, True
@@ -99,23 +103,28 @@ def look_from(search: Search, worlds: Any, e: int) -> None:
 
 @uncounted
 def enter(search: Search, worlds: Any, e: int) -> None:
-    """Make the present of one environment the first future."""
+    """Copy the present of one environment to future 0."""
     look_from(search, worlds, e)
     p, p0 = search.futures.p, worlds.p[e]
-    # Nobody moves in the futures of the nodes.
+    # The futures of the nodes are only copied from and to, never simulated in: they need no body parameters.
     for k in range(search.bounds.spare + 1):
         for i in range(p.shape[1]):
             for j in range(p.shape[2]):
                 p[k, i, j] = p0[i, j]
     copy_more(search, worlds, e)
-    # Who stands where ways cross already may stay there.
+    # An ego that stands on a crossing already may stay there.
     moves = abs(search.futures.f[0, SPEED, ego_in(search, 0)]) >= _AT_REST
     search.resting.allowed[0] = not moves and in_the_way(search, 0)
 
 
 @uncounted
 def clearance(futures: Any, k: int, ego: int, bounds: Bounds, row: FloatArray) -> float:
-    """The ego's smallest distance to anybody, beyond the buffer, negative where somebody is inside [m]."""
+    """Least distance from the ego to any body, beyond the buffer [m]; negative if a body is inside the buffer.
+
+    Parameters
+    ----------
+    futures : the futures, of which `k` is evaluated. ego : column of the ego. row : buffer for a vehicle row, (7,).
+    """
     f, g, p = futures.f[k], futures.g[k], futures.p[k]
     x, y, half_length, half_width = f[X, ego], f[Y, ego], 0.5 * p[LENGTH, ego], 0.5 * p[WIDTH, ego]
     along, across = half_length + bounds.longitudinal, half_width + bounds.lateral
@@ -133,8 +142,8 @@ def clearance(futures: Any, k: int, ego: int, bounds: Bounds, row: FloatArray) -
 
 @uncounted
 def depart(search: Search, source: int, target: int, action: int) -> tuple[int, float]:
-    """Begin an action in future `source`, as `target`; the lane and the speed that the ego is bound for then [m/s]: all
-    that an action decides."""
+    """Begin an action in future `source`, with the result in future `target`. Return the target lane and the target
+    speed of the ego [m/s], which are all that an action determines."""
     copy_future(search, source, target)
     search.given[0], search.given[1] = action, 0.0
     start(search, target)
@@ -144,7 +153,7 @@ def depart(search: Search, source: int, target: int, action: int) -> tuple[int, 
 
 @uncounted
 def travel(search: Search, target: int, wish: Wish, floor: float) -> tuple[float, float]:
-    """Go on with what `depart` has begun to the end of the decision; see `leap`."""
+    """Simulate the rest of the decision that `depart` has begun; see `leap`."""
     futures, rules, bounds, allies = search.futures, search.rules, search.bounds, search.team.columns
     f, g, dt, ego = futures.f[target], futures.g[target], rules.times[0], ego_in(search, target)
     search.spent[0] += 1
@@ -170,17 +179,17 @@ def travel(search: Search, target: int, wish: Wish, floor: float) -> tuple[float
 
 @uncounted
 def leap(search: Search, source: int, target: int, action: int, wish: Wish, floor: float) -> tuple[float, float]:
-    """Take an action in future `source`; `target` is what comes of it.
+    """Simulate an action in future `source`, with the result in future `target`.
 
     Parameters
     ----------
-    floor : it is given up where less than this is clear beyond the buffer [m].
+    wish : target command. floor : clearance beyond the buffer below which the simulation stops [m].
 
     Returns
     -------
-    The smallest clearance beyond the buffer on the way [m], with -inf for a crash or leaving the road, and no more
-    asked once the road has ended; and the way that is lost against the wish, with what being beside its lane counts as
-    [m].
+    least : least clearance beyond the buffer during the decision [m]; -inf after a crash, or off the road. After the
+        end of the road nothing is checked.
+    lost : distance lost against the target command [m], including the cost of its lane.
     """
     depart(search, source, target, action)
     return travel(search, target, wish, floor)
@@ -188,7 +197,7 @@ def leap(search: Search, source: int, target: int, action: int, wish: Wish, floo
 
 @uncounted
 def foretell(search: Search, actions: IntArray, length: int, rows: FloatArray) -> int:
-    """What comes of the first `length` actions, until the ego's road ends: the bodies now and after each frame.
+    """Simulate the first `length` actions, or until the ego's road ends, and write the bodies now and after each frame.
 
     Parameters
     ----------
@@ -196,7 +205,7 @@ def foretell(search: Search, actions: IntArray, length: int, rows: FloatArray) -
 
     Returns
     -------
-    How many of them are.
+    Number of frames written.
     """
     futures, target, n = search.futures, 1, 0
     f, g, p = futures.f[target], futures.g[target], futures.p[target]
@@ -219,8 +228,8 @@ def foretell(search: Search, actions: IntArray, length: int, rows: FloatArray) -
 
 @inlined
 def repeats(reached: FloatArray, k: int) -> bool:
-    """Whether row k, a lane and a speed that an action is bound for, is that of an earlier action, so that the same
-    comes of both."""
+    """Whether row k of `reached`, the target lane and target speed of an action, is that of an earlier action, so that
+    both have the same outcome."""
     found = False
     for earlier in range(k):
         found = found or (reached[earlier, 0] == reached[k, 0] and reached[earlier, 1] == reached[k, 1])
@@ -229,15 +238,15 @@ def repeats(reached: FloatArray, k: int) -> bool:
 
 @uncounted
 def same_outcome(search: Search, a: int, b: int) -> bool:
-    """Whether two actions want the same lane and speed now."""
+    """Whether two actions have the same target lane and target speed now."""
     spare = search.bounds.spare
     return depart(search, 0, spare, a) == depart(search, 0, spare, b)
 
 
 @uncounted
 def must_go_on(search: Search, k: int, sequence: IntArray, margin: float) -> bool:
-    """Whether a sequence for all decisions is refused that leads to future k, since the ego is in the way there. The
-    first of them is remembered."""
+    """Whether a sequence for the whole horizon is refused because the ego is on a crossing at its end, future k. The
+    first such sequence is stored in `search.resting`."""
     resting = search.resting
     if resting.allowed[0] or not in_the_way(search, k):
         return False
@@ -259,21 +268,22 @@ def in_depth(
     budget: int,
     leaves: bool = False,
 ) -> tuple[int, float, bool]:
-    """A sequence that stays clear for all decisions, or of those that were tried the first that does for most of them,
-    into `search.plan`: in depth first.
+    """Depth-first search for a sequence that stays clear for the whole horizon, into `search.plan`. If none is found,
+    the first of the longest ones that were tried.
 
     Parameters
     ----------
-    first : the action that it begins with; `ANY` for any.
-    stored : what is tried first at each level, but for what it begins with, (depth,), of which `length` are there; then
-        what slows down. known : of them, those whose futures, and all else of these levels, are there already.
-    floor : smallest clearance beyond the buffer that is allowed [m]. budget : decisions that may be simulated.
-    leaves : whether a sequence for all decisions may not end in the way (`in_the_way`).
+    first : action that it begins with; `ANY` for any.
+    stored : actions that are tried first at each level, except for the given first action, (depth,), of which `length`
+        are valid; elsewhere slowing down is tried first.
+    known : number of levels for which the futures and the other buffers are valid already.
+    floor : least clearance beyond the buffer [m]. budget : number of decisions that may be simulated.
+    leaves : whether a sequence for the whole horizon may not end on a crossing (`in_the_way`).
 
     Returns
     -------
-    For how many decisions it stays clear, its smallest clearance beyond the buffer [m], and whether the budget was
-    spent before all had been tried.
+    Number of decisions for which the sequence stays clear, its least clearance beyond the buffer [m], and whether the
+    budget was spent before all sequences had been tried.
     """
     bounds, n, level, lasts = search.bounds, search.order.shape[0], known, known
     until = min(search.spent[0] + budget - known, search.spent[1])
@@ -315,9 +325,9 @@ def in_depth(
 
 @uncounted
 def leave(search: Search, first: int, margin: float) -> float:
-    """The smallest clearance beyond the buffer of a sequence for all decisions that was found, or, where that ends in
-    the way, of another that begins with the same action and goes on as fast as it can, into `search.plan` [m]; -inf
-    where none is found."""
+    """Least clearance beyond the buffer of the sequence for the whole horizon in `search.plan` [m]. If it ends on a
+    crossing, it is replaced by one with the same first action that drives on as fast as possible; -inf if none is
+    found."""
     depth, going, once = search.bounds.depth, search.resting.going, search.resting.margin[0] >= 0.0
     if not must_go_on(search, depth, search.plan, margin):
         return margin
@@ -328,14 +338,16 @@ def leave(search: Search, first: int, margin: float) -> float:
 
 @uncounted
 def survives(search: Search, first: int, stored: IntArray, length: int) -> tuple[float, bool]:
-    """Whether some sequence that begins with an action keeps the buffer for all decisions, into `search.plan`; see
-    `in_depth`. Where what was planned begins otherwise, it has the greater part of the budget on a network to join that
-    again, and what slows down has the rest; on a straight highway all is for what slows down.
+    """Search for a sequence that begins with an action and keeps the buffer for the whole horizon, into `search.plan`;
+    see `in_depth`.
+
+    If the stored sequence begins with another action, on a network the larger part of the budget is for joining it
+    again, and the rest for slowing down. On a straight highway all of it is for slowing down.
 
     Returns
     -------
-    Its smallest clearance beyond the buffer [m], -inf where none is found; and whether the budget was spent before all
-    had been tried.
+    Least clearance beyond the buffer of the sequence [m], -inf if none is found; and whether the budget was spent
+    before all sequences had been tried.
     """
     depth, budget = search.bounds.depth, search.bounds.budget
     begins = first == ANY or (length > 0 and stored[0] == first)

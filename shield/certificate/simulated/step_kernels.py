@@ -1,4 +1,4 @@
-"""Decisions by simulation of many environments as one compiled call."""
+"""Decisions with simulated traffic in many environments, in one compiled call."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def step_all_exact(
     last: int,
     again: bool,
 ) -> None:
-    """A decision in each of the environments from `first` to `last`; see `step_all_shielded`."""
+    """One decision in each of the environments from `first` to `last`; see `step_all_shielded`."""
     machine, rules, work = search.machine, search.rules, search.work
     for e in range(first, last):
         decide(search, plans, records, worlds, e, actions[e], orders[e])
@@ -47,7 +47,7 @@ def step_all_exact(
             level = advance(machine, worlds, rules, work, e, level, math.nan, math.nan)
             off_road[e, k] = not look(worlds, rules, e, rows[e, k])
         finish(machine, worlds, rules, view, work, seen, e)
-        # The traffic is what was simulated: it cannot do otherwise.
+        # The traffic is the one that was simulated, so it cannot deviate.
         records.violations[e] = 0
         if again and (seen.terminated[e] or seen.truncated[e]):
             follow(machine, worlds, rules, view, work, seen, e)

@@ -1,4 +1,4 @@
-"""What a search asks of the traffic: each on a straight highway, and on any other network of roads."""
+"""Operations of a search on the traffic, each for a straight highway and for a network of roads."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def _start_network(search: Search, k: int) -> None:
 
 @uncounted
 def hold(search: Search, k: int, throttle: float, wheel: float) -> None:
-    """Let the ego of a network keep an acceleration [m/s^2] and a front wheel angle [rad] in future k."""
+    """Set a constant acceleration [m/s^2] and front wheel angle [rad] of the ego of a network in future k."""
     _hold(search.futures, k, throttle, wheel)
 
 
@@ -121,7 +121,7 @@ def _copy_more(search: Search, worlds: Any, e: int) -> None:
             for j in range(routes.shape[2]):
                 routes[k, i, j, 0], routes[k, i, j, 1] = given[i, j, 0], given[i, j, 1]
         for i in range(counts[k, 1], p.shape[2]):
-            # Whoever was here has gone, and nothing has a size.
+            # No body is in this column any more, so its size is 0.
             p[k, LENGTH, i] = p[k, WIDTH, i] = 0.0
 
 
@@ -130,7 +130,7 @@ _HIGHWAY, _NETWORK = highways.Rules, networks.NetworkRules
 
 @by_type({_HIGHWAY: _first, _NETWORK: _ego_on_network}, "rules")
 def ego_in(search: Search, k: int) -> int:
-    """The column of the ego in future k."""
+    """Column of the ego in future k."""
     raise NotImplementedError
 
 
@@ -159,16 +159,16 @@ def on_road(search: Search, k: int) -> tuple[bool, bool]:
 
 @by_type({_HIGHWAY: _beside_on_highway, _NETWORK: _beside_on_network}, "rules")
 def lanes_beside(search: Search, k: int) -> tuple[int, int]:
-    """Lanes of the road to the left and to the right of the one that the ego is bound for in future k."""
+    """Number of lanes to the left and to the right of the ego's target lane in future k."""
     raise NotImplementedError
 
 
 @by_type({_HIGHWAY: _never, _NETWORK: _where_ways_cross}, "rules")
 def in_the_way(search: Search, k: int) -> bool:
-    """Whether the ego is where ways cross in future k, on a road on which others may appear."""
+    """Whether the ego is on a crossing in future k, on a road on which other vehicles may appear."""
     raise NotImplementedError
 
 
 @by_type({_HIGHWAY: _nothing_more, _NETWORK: _copy_more}, "rules")
 def copy_more(search: Search, worlds: Any, e: int) -> None:
-    """Give all futures what else stays of scene e: on a network routes, and how many bodies there are."""
+    """Copy the constant state of scene e to all futures: on a network the routes, and the number of bodies."""

@@ -1,4 +1,4 @@
-"""What a search is asked, and the room that it works in."""
+"""Limits of a search in simulated traffic, and its workspace."""
 
 from __future__ import annotations
 
@@ -21,38 +21,40 @@ NOBODY = -1
 """Stands for no node."""
 
 _OUTLOOK, _OUTLOOK_ON_NETWORKS = 8.0, 5.0
-"""How far ahead alternatives are compared on straight highways and on networks [s]; beyond it they have to stay clear,
-and no more."""
+"""Time over which alternatives are compared on straight highways and on networks [s]; beyond it they only have to stay
+clear."""
 _KEEP_RIGHT = 0.8
-"""What being one lane further left counts as, as a loss of speed [m/s]: of alternatives that are about as fast, the
-rightmost. highway-env's default reward gives 0.83 m/s for a lane on three."""
+"""Cost of one lane further left, as a loss of speed [m/s]: among alternatives of similar speed the rightmost is chosen.
+highway-env's default reward gives 0.83 m/s for a lane on three."""
 _ASKED = 3.0
-"""The same on a network for each lane that there is on the side that is asked for: who wants to leave there has to."""
+"""The same on a network, for each lane that remains on the requested side: to leave the road there takes the outermost
+lane."""
 _BUDGET = 10
-"""Decisions that a search in depth may simulate for each that it looks ahead."""
+"""Decisions that one depth-first search may simulate for each decision of the horizon."""
 _EFFORT, _EFFORT_ON_NETWORKS = 1_000, 24
-"""The same for all searches of a decision together; on straight highways they do not come to it."""
+"""The same for all searches of one decision together; on straight highways it is not reached."""
 _LAST, _LAST_ON_NETWORKS = 1_000, 4
-"""The same for going on with what was planned, and for what lasts longest, when all of these were in vain."""
+"""The same for each of the two last searches, for an extension of the stored sequence and for the longest sequence,
+after the others have failed."""
 _DEAD = 64
-"""States without a way on that are remembered after each number of decisions."""
+"""Capacity of the dead-end table for each number of decisions."""
 _NODES = 1024
-"""Futures that a search over lanes and speeds may compare."""
+"""Number of futures that a search over lanes and speeds may compare."""
 
 
 class Bounds(NamedTuple):
-    """What is asked of a sequence.
+    """Limits of a search.
 
     Attributes
     ----------
-    longitudinal, lateral : the buffer around the ego [m].
-    depth : decisions that are looked ahead. outlook : of them, those over which alternatives are compared.
-    budget : decisions that one search in depth may simulate. effort : that all searches of a decision may. last : that
-        each of the two may that come when those were in vain.
-    straight : whether the road is a straight highway. There an action that has spent its budget is searched for over
-        lanes and speeds; on a network some of the budget is for joining what was planned.
-    keep_right : what a lane further left counts as [m/s]. asked : what a lane on the side that is asked for does.
-    spare : the future that those after it, the nodes, are reached in.
+    longitudinal, lateral : buffer around the ego [m].
+    depth : decisions in the horizon. outlook : those of them over which alternatives are compared.
+    budget : decisions that one depth-first search may simulate.
+    effort : node budget of all searches of a decision. last : that of each of the two last searches.
+    straight : whether the road is a straight highway. There, an action that has spent its budget is searched for over
+        lanes and speeds; on a network, part of the budget is for joining the stored sequence.
+    keep_right : cost of one lane further left [m/s]. asked : cost of one lane on the requested side [m/s].
+    spare : index of a spare future; the futures of the nodes follow it.
     """
 
     longitudinal: float
@@ -69,12 +71,12 @@ class Bounds(NamedTuple):
 
 
 class Wish(NamedTuple):
-    """Where a proposal leads.
+    """Target command of a proposal, with the cost of the lanes beside.
 
     Attributes
     ----------
-    speed : [m/s]. left, right : what each lane to the left and to the right of the ego's counts as, as a loss of speed
-        [m/s].
+    speed : target speed [m/s].
+    left, right : cost of each lane to the left and to the right of the ego's target lane, as a loss of speed [m/s].
     """
 
     speed: float
@@ -83,13 +85,13 @@ class Wish(NamedTuple):
 
 
 class Dead(NamedTuple):
-    """Where, in the traffic of one decision, no way was found that goes on.
+    """Dead-end table of one decision.
 
     Attributes
     ----------
-    buried : how many states there have been after each number of decisions, (depth + 1,).
-    states : the last of them: the ego's x, y [m], speed [m/s], and the lane and the speed [m/s] that it is bound for,
-        (depth + 1, `_DEAD`, 5).
+    buried : number of states stored after each number of decisions, (depth + 1,).
+    states : the last of them: the ego's x, y [m], speed [m/s], target lane, and target speed [m/s], (depth + 1,
+        `_DEAD`, 5).
     """
 
     buried: IntArray
@@ -97,14 +99,15 @@ class Dead(NamedTuple):
 
 
 class Resting(NamedTuple):
-    """A sequence that keeps the buffer and ends with the ego where ways cross and others may appear: it is taken where
+    """A sequence that keeps the buffer and ends with the ego on a crossing where others may appear. It is used only if
     no other is found.
 
     Attributes
     ----------
-    going : to speed up at each decision, (depth,).
-    plan : the first that was found, (depth,). margin : its smallest clearance beyond the buffer, (1,) [m], -inf where
-        there is none. allowed : whether any may end so, since the ego stands there now already, (1,).
+    going : speeding up at each decision, (depth,).
+    plan : the first such sequence, (depth,). margin : its least clearance beyond the buffer, (1,) [m], -inf if there is
+        none.
+    allowed : whether a sequence may end so, since the ego stands there already, (1,).
     """
 
     going: IntArray
@@ -114,15 +117,15 @@ class Resting(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """What a search over lanes and speeds has reached: the future `spare + 1 + i` belongs to node i.
+    """Nodes of a search over lanes and speeds; the future `spare + 1 + i` belongs to node i.
 
     Attributes
     ----------
-    slots : the node of each lane and speed after each number of decisions, (depth, K), or `NOBODY`.
-    cost, clear : way lost, and smallest clearance beyond the buffer, on the way to each, (n,) [m]. bound : way lost at
-        the least when all decisions have been taken, (n,) [m].
-    level, kind : decisions to each, and its lane and speed, (n,). parent, action : where it was reached from and by
-        what, (n,). open : whether nothing has been tried after it yet, (n,).
+    slots : node of each lane and speed after each number of decisions, (depth, K), or `NOBODY`.
+    cost, clear : distance lost, and least clearance beyond the buffer, up to each node, (n,) [m].
+    bound : lower bound on the distance lost over all decisions, (n,) [m].
+    level, kind : number of decisions, and lane and speed, (n,). parent, action : previous node and action, (n,).
+    open : whether the node has not been expanded yet, (n,).
     """
 
     slots: IntArray
@@ -137,12 +140,12 @@ class Nodes(NamedTuple):
 
 
 class Team(NamedTuple):
-    """The other egos, and what they are going to do.
+    """The other egos (multi-agent) and their plans.
 
     Attributes
     ----------
-    columns : theirs, (allies,). plans : their actions from the present decision on, (allies, depth + 1).
-    since : the frames that the road had seen at the present, (1,).
+    columns : of the other egos, (allies,). plans : their actions from the present decision on, (allies, depth + 1).
+    since : number of frames of the road at the present, (1,).
     """
 
     columns: IntArray
@@ -151,22 +154,22 @@ class Team(NamedTuple):
 
 
 class Search(NamedTuple):
-    """The rules of the traffic, and room for the searches of one thread, with K lanes and target speeds.
+    """Traffic rules and workspace for the searches of one thread, with K lanes and target speeds.
 
     Attributes
     ----------
-    machine, rules, work : of the simulator, on a straight highway or on a network of roads. bounds : what is asked.
-    futures : states: the present, those that a search in depth has come through, a spare one, and those of the nodes.
+    machine, rules, work : of the simulator, on a straight highway or on a network of roads. bounds : limits.
+    futures : states: the present, those of a depth-first search by level, a spare one, and those of the nodes.
     order : all actions, those that slow down first.
     given : an action, (2,). row : a body, (1, 7).
-    spent : decisions that have been simulated since the present was entered, and how many may be, (2,).
-    choices : actions that have been tried at each level, (depth + 1,). reached : lane and speed [m/s] that each of them
-        is bound for, (depth + 1, actions + 1, 2). least : smallest clearance beyond the buffer down to each level,
-        (depth + 1,) [m].
-    plan : the sequence that was found, (depth,). hint : one that is gone on with, (depth,). sequence : the one that a
-        search in depth is trying, (depth,).
-    team : the other egos, on a network. nodes : what a search over lanes and speeds has reached.
-    dead : where a search in depth has found no way on. resting : what ends where it would be in the way.
+    spent : number of decisions simulated since the present was entered, and the number allowed, (2,).
+    choices : number of actions tried at each level, (depth + 1,).
+    reached : target lane and target speed [m/s] of each of them, (depth + 1, actions + 1, 2).
+    least : least clearance beyond the buffer up to each level, (depth + 1,) [m].
+    plan : the sequence found, (depth,). hint : a sequence that is extended, (depth,).
+    sequence : the sequence that a depth-first search is trying, (depth,).
+    team : the other egos, on a network. nodes : of a search over lanes and speeds.
+    dead : dead-end table. resting : a sequence that ends on a crossing.
     """
 
     machine: Machine
@@ -195,7 +198,7 @@ _SAFEST_FIRST = (4, 1, 2, 0, 3)
 
 
 def _takes(search: Search, simulator: Simulator | NetworkSimulator, allies: int) -> bool:
-    """Whether there is as much in a simulator's traffic as there is room for in a search."""
+    """Whether a search has the dimensions of a simulator's traffic."""
     old, rules = search.rules, simulator.rules
     return (
         type(old) is type(rules)
@@ -208,18 +211,19 @@ def _takes(search: Search, simulator: Simulator | NetworkSimulator, allies: int)
 
 
 def _kinds(rules: Any) -> int:
-    """How many lanes and target speeds there are, each with each."""
+    """Number of pairs of a lane and a target speed."""
     return len(rules.lanes if isinstance(rules, Rules) else rules.network.lanes) * len(rules.target_speeds)
 
 
 def new_search(
     simulator: Simulator | NetworkSimulator, config: ShieldConfig, allies: int = 0, old: Search | None = None
 ) -> Search:
-    """Room for searches in the traffic of a simulator, with so many egos beside the one that is searched for.
+    """Workspace for searches in the traffic of a simulator, with `allies` other egos.
 
     Parameters
     ----------
-    old : a search under the same settings that is not needed any more; its room is taken, where it is as large.
+    simulator : the traffic. config : buffer and horizon.
+    old : a search with the same settings that is no longer used; its buffers are reused if they have the right size.
     """
     if old is not None and _takes(old, simulator, allies):
         return old._replace(machine=simulator.machine, rules=simulator.rules, work=simulator.new_work())

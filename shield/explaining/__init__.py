@@ -1,1 +1,1 @@
-"""Why a proposal was refused, found out again from what the decision was made from, when somebody asks."""
+"""Explanations of refused proposals, computed on request from the data of the decision."""

@@ -1,4 +1,4 @@
-"""Why a proposal was refused on a network of roads whose traffic may do whatever the assumptions permit."""
+"""Explanation of a refusal on a road network, in the worst case that the assumptions permit."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from shield.explanation import Explanation, Lost, number
 __all__ = ["Roads", "on_roads"]
 
 _OFF = -500.0
-"""A margin below it stands for leaving the road [m]."""
+"""A margin below this stands for leaving the road [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Roads:
-    """What a decision on a network of roads was made from.
+    """Data of a decision on a road network.
 
     Attributes
     ----------
-    alone, road, body : the ego and its road, and its body without the buffer.
-    others, who : where the others can be, and the simulator's objects.
-    tried : the courses, and the tier of each. lanes : highway-env's name of the lane that each of the others is on.
+    alone, road, body : the ego, its road, and its body without the buffer.
+    others, who : reachable places of the other vehicles, and the simulator's objects.
+    tried : the candidates, and the tier of each. lanes : highway-env's name of each other vehicle's lane.
     labels : of the actions.
     size : the ego's length and width [m].
     """
@@ -78,7 +78,7 @@ class Roads:
                 broke = " (it has broken a rule)" if self.others.offends[found.vehicle] else ""
                 why = f"{cause.text}{broke} could be in the way; {lacks}"
                 if found.margin >= 0:
-                    # Courses that are clear of everybody come first.
+                    # Candidates that are clear of every vehicle take precedence.
                     why = (
                         "it is clear only if those behind keep the distance that they owe the ego, and another way is"
                         f" clear of everybody; nearest comes {cause.text}"
@@ -86,11 +86,11 @@ class Roads:
         return Explanation(proposal, at.reason, clause, cause, short, after, why, *tail, at.margin, frame, lost)
 
     def _best(self) -> Choice:
-        """The best of what the proposal leads to, which does not verify."""
+        """The best candidate of the proposal, none of which verifies."""
         wished = [course for course, tier in self.tried if tier is Tier.PASSED]
         frames, lanes, many = self.others.least.shape[1] - 3, len(self.road.circles), len(self.who)
         trial, bodies = empty_trial(frames, lanes, many), empty_trial(frames, lanes, 0)
-        # What a judgement writes into the others is for the decision alone.
+        # The check writes into these two arrays, and the decision still uses its own.
         others = self.others._replace(waits=self.others.waits.copy(), shut=self.others.shut.copy())
         courses = np.array(wished, float)
         found: Choice = choose(self.alone, self.road, self.body, others, courses, trial, bodies)
@@ -98,6 +98,6 @@ class Roads:
 
 
 def on_roads(alone: Alone, **made_from: Any) -> Roads:
-    """The same of the present: the ego moves on, and is copied as it is now."""
+    """Data of the present decision, with a copy of the ego's state, which changes later."""
     worlds = alone.worlds._replace(**{name: getattr(alone.worlds, name).copy() for name in alone.worlds._fields})
     return Roads(alone._replace(worlds=worlds, work=new_work(1)), **made_from)

@@ -1,4 +1,4 @@
-"""Why a proposal was refused where the others may do whatever the assumptions permit, or a rule alone decides."""
+"""Explanation of a refusal in the worst case that the assumptions permit, or by a rule alone."""
 
 from __future__ import annotations
 
@@ -30,13 +30,19 @@ __all__ = ["cause_in", "explain_scene"]
 
 _NO_VEHICLE = -1
 _FAR, _HALVINGS = 500.0, 12
-"""How far away a vehicle is tried whom a rule objects to [m], and how often that is halved."""
+"""Greatest shift of a vehicle in the search for the distance that a rule accepts [m], and number of halvings."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Refusal:
-    """What refused a proposal: the clause, the row of the vehicle, the least margin [m], after how long it becomes
-    negative [s], and whether that is only expected, and no bound."""
+    """Why a proposal was refused.
+
+    Attributes
+    ----------
+    clause : the binding clause. vehicle : row of the binding vehicle. margin : least margin [m].
+    after : time until the margin becomes negative [s].
+    expected : whether the margin is a forecast, and not a bound.
+    """
 
     clause: str
     vehicle: int
@@ -77,16 +83,16 @@ def explain_scene(made: Made[Any], at: Decision, record: Decision, frame: int) -
 
 
 def view_scene(view: Any, scene: Any) -> Any:
-    """The scene that was judged: bounds on what is observed are nested in those of the scene before."""
+    """The scene that was judged. Bounds of observed vehicles are intersected with those of the previous scene."""
     return view.scene if isinstance(view, Instant) else scene
 
 
 def cause_in(scene: Any, row: int) -> Obstruction:
-    """One of the others in a scene or a lot.
+    """Description of another vehicle in a scene, or of an obstacle in a parking lot.
 
     Parameters
     ----------
-    row : of its vehicle rows.
+    row : index of its vehicle row.
     """
     if not isinstance(scene, Scene):
         return describe(scene.ego, scene.obstacles[row], Described(row if scene.bodies is None else scene.bodies[row]))
@@ -101,7 +107,7 @@ def cause_in(scene: Any, row: int) -> Obstruction:
 
 
 def _proposal(made: Made[Any], record: Decision, frame: int, name: Any) -> str:
-    """What was refused: of a frame, what the action leads to then."""
+    """Name of the refused proposal; in a frame, of the command that the action leads to."""
     if isinstance(made.proposal, Target):
         return str(name(record.executed))
     if isinstance(made.proposal, np.ndarray):
@@ -109,11 +115,11 @@ def _proposal(made: Made[Any], record: Decision, frame: int, name: Any) -> str:
     return str(name(record.proposed))
 
 
-# -- what refused it -------------------------------------------------------------------------------------------
+# -- cause of the refusal --------------------------------------------------------------------------------------
 
 
 def _refusal(made: Made[Any], at: Decision) -> tuple[_Refusal, Any]:
-    """What refused the proposal, and the view that it was judged in."""
+    """The cause of the refusal, and the view in which the proposal was judged."""
     scene, procedure, proposal = made.scene, made.procedure, made.proposal
     view, _ = procedure.observe(made.memory, scene)
     if isinstance(procedure, RuleAlone):
@@ -133,7 +139,7 @@ def _refusal(made: Made[Any], at: Decision) -> tuple[_Refusal, Any]:
 
 
 def _of_target(now: Instant, target: Target, lasting: bool) -> _Refusal:
-    """Of a lane and a speed: the bound of one frame of it, then the forecast that it lasts for the decision."""
+    """Cause for a target command: the bound for one frame of it, or the forecast for the whole decision."""
     scene, braking = now.scene, now.config.braking
     fails = fail_lanes(now, target.lane)
     lanes, speeds = [target.lane] * len(fails), [target.speed] * len(fails)
@@ -154,6 +160,7 @@ def _of_target(now: Instant, target: Target, lasting: bool) -> _Refusal:
 
 
 def _in_lot(procedure: ParkingLot, view: Any, proposal: FloatArray, lot: Any) -> _Refusal:
+    """Cause for inputs, (2,), in a parking lot."""
     moving = np.flatnonzero(lot.moving)
     if view.memory.watch.violated and moving.size:
         return _Refusal("moving", int(moving[0]), nan, 0.0)
@@ -165,11 +172,11 @@ def _in_lot(procedure: ParkingLot, view: Any, proposal: FloatArray, lot: Any) ->
 
 
 def _by_rule(rule: Rule, scene: Scene, target: Target) -> _Refusal:
-    """Of a rule: the nearest of those that it refuses the target for when they are alone, and how much further away it
-    would have to be."""
+    """Cause for a rule: the nearest vehicle that the rule objects to on its own, and the additional distance that it
+    requires."""
 
     def objects(row: int, further: float) -> bool:
-        """Whether it does to one of the others alone, were it so much further away [m]."""
+        """Whether the rule objects to one vehicle on its own, moved away by a distance [m]."""
         body = scene.others[row : row + 1].copy()
         away = further * np.sign(scene.others_road[row, 0] - scene.ego_road[0])
         body[0, :2] += away * np.array([np.cos(body[0, 2]), np.sin(body[0, 2])])
@@ -187,11 +194,11 @@ def _by_rule(rule: Rule, scene: Scene, target: Target) -> _Refusal:
     return _Refusal(f"rule: {rule.reason.value}", _NO_VEHICLE, nan, nan)
 
 
-# -- words -----------------------------------------------------------------------------------------------------
+# -- text ------------------------------------------------------------------------------------------------------
 
 
 def _why(found: _Refusal, cause: Obstruction | None, short: float) -> str:
-    """What would happen, in words."""
+    """Text of the cause."""
     by, when = number(short), f"{number(found.after)} s"
     if found.clause.startswith("rule: "):
         name = found.clause.removeprefix("rule: ")
@@ -229,7 +236,7 @@ def _why(found: _Refusal, cause: Obstruction | None, short: float) -> str:
 
 
 def _offence(view: Any) -> str:
-    """Who has broken which rule, where that is why nothing verifies."""
+    """Text on the violators, if a violation is the reason that no plan verifies."""
     watch = view.memory.watch if hasattr(view, "memory") else None
     if not isinstance(watch, Watch) or not watch.violated or not isinstance(view, Instant):
         return ""
@@ -257,7 +264,7 @@ def _lost(made: Made[Any], view: Any, at: Decision) -> Lost:
 
 
 def _fail_safe_margin(made: Made[Any], now: Instant) -> float:
-    """How far the stored stop in a lane stays clear now [m]; -inf without one."""
+    """Present margin of the stored fail-safe in a lane [m]; -inf without one."""
     if not isinstance(now.memory.stored, int):
         return -np.inf
     if isinstance(made.procedure, Inputs):

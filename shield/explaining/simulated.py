@@ -1,4 +1,4 @@
-"""Why a proposal was refused where the traffic is simulated: what would have happened."""
+"""Explanation of a refusal in simulated traffic: the simulated effect of the proposal."""
 
 from __future__ import annotations
 
@@ -25,15 +25,17 @@ __all__ = ["Simulated", "copy_of"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Simulated:
-    """What a decision in simulated traffic was made from.
+    """Data of a decision in simulated traffic.
 
     Attributes
     ----------
-    search : the rules of the traffic, and room like which a search needs; see `shield.certificate.simulated.workspace`.
-    worlds : the present, one environment (see `copy_of`). who : the bodies by column; numbers where there are no
-        objects. lanes : highway-env's name of each lane, by number; none on a straight highway.
-    proposal : an action, or acceleration [m/s^2] and wheel [rad], (2,). labels : of the actions, none of inputs.
-    hint : actions that were planned, tried first after the proposal.
+    search : rules of the traffic, and search buffers as a template; see `shield.certificate.simulated.workspace`.
+    worlds : the present state of one environment (see `copy_of`).
+    who : the bodies by column; numbers where there are no objects.
+    lanes : highway-env's name of each lane, by number; empty on a straight highway.
+    proposal : an action, or acceleration [m/s^2] and wheel angle [rad], (2,). labels : of the actions; empty for
+        inputs.
+    hint : planned actions, tried first after the proposal.
     team : columns, plans and frames of the other egos (`shield.certificate.simulated.workspace.Team`); None without.
     """
 
@@ -72,7 +74,7 @@ class Simulated:
         )
 
     def _what(self, rows: FloatArray, ego: int) -> tuple[str, Obstruction | None, float, float, str]:
-        """The clause, the vehicle, by how much the buffer is short [m] and when [s], and that in words."""
+        """The clause, the vehicle, the shortfall of the buffer [m], its time [s], and the text."""
         gaps, dt = self._gaps(rows, ego), float(self.search.rules.times[0])
         inside = np.flatnonzero((gaps < 0).any(axis=1))
         hit = np.flatnonzero(rows[1:, ego, 6] > 0) + 1
@@ -92,13 +94,15 @@ class Simulated:
         return "crash" if hit.size else "simulated", cause, short, after, why
 
     def _cause(self, bodies: FloatArray, ego: int, column: int) -> Obstruction:
+        """Description of the body in a column."""
         number_of_lane = int(self.worlds.g[0, LANE, column])
         several = len({(start, end) for start, end, _ in self.lanes}) > 1
         lane = lane_of(self.lanes[number_of_lane]) if several else f"lane {number_of_lane}"
         return describe(bodies[ego, :6], bodies[column, :6], Described(self.who[column], lane))
 
     def _gaps(self, rows: FloatArray, ego: int) -> FloatArray:
-        """Clearance beyond the buffer from each body at each frame, (frames + 1, m) [m]; inf of the ego and nobody."""
+        """Clearance beyond the buffer from each body at each frame, (frames + 1, m) [m]; inf for the ego and empty
+        columns."""
         bounds, out = self.search.bounds, np.full(rows.shape[:2], np.inf)
         for k, bodies in enumerate(rows):
             x, y, heading, speed, length, width, _ = bodies[ego]
@@ -116,8 +120,10 @@ class Simulated:
         self._gaps(np.repeat(rows[:1, [ego]], 2, axis=1), 0)
 
     def foretold(self) -> tuple[FloatArray, int]:
-        """The bodies now and at each frame, (frames + 1, m, 7), with the proposal and what keeps the buffer longest
-        after it; and the column of the ego."""
+        """Predicted bodies now and at each frame, (frames + 1, m, 7), and the column of the ego.
+
+        The ego executes the proposal, and then the sequence that keeps the buffer longest.
+        """
         search = _apart(self.search)
         if self.team is not None:
             search.team.columns[:], search.team.plans[:], search.team.since[0] = self.team
@@ -134,7 +140,7 @@ class Simulated:
 
 
 def _apart(search: Search) -> Search:
-    """The same with room of its own, as far as a search in depth needs it: the room of the decisions stays as it is."""
+    """The search with buffers of its own for a search in depth; those of the decisions stay unchanged."""
 
     def own(part: Any) -> Any:
         return part._replace(**{name: getattr(part, name).copy() for name in part._fields})
@@ -151,5 +157,5 @@ def _apart(search: Search) -> Search:
 
 
 def copy_of(worlds: Any, e: int = 0) -> Any:
-    """One environment of some worlds, as it is now."""
+    """Copy of the present state of environment `e`."""
     return worlds._replace(**{name: getattr(worlds, name)[e : e + 1].copy() for name in worlds._fields})

@@ -1,4 +1,4 @@
-"""What was done, and why that is right, in the words that all explanations share."""
+"""Common text of all explanations: the executed command, and its justification."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LOST = {
 
 
 def action_name(labels: Sequence[str], action: Any) -> str:
-    """The name of a meta-action, or the action as it is."""
+    """Name of a meta-action; the text of any other action."""
     try:
         index = int(action)
     except (TypeError, ValueError, OverflowError):
@@ -36,17 +36,17 @@ def action_name(labels: Sequence[str], action: Any) -> str:
 
 
 def inputs_name(inputs: Any) -> str:
-    """Acceleration [m/s^2] and front wheel angle [rad], (2,), such as "+5.0 m/s², −1.2°"."""
+    """Acceleration [m/s^2] and front wheel angle [rad], (2,), as text such as "+5.0 m/s², −1.2°"."""
     acceleration, wheel = (float(x) for x in np.ravel(inputs))
     return f"{acceleration:+.1f} m/s², {np.degrees(wheel):+.1f}°".replace("-", "−")
 
 
 def done(at: Decision, record: Decision, name: Any, speed: float) -> str:
-    """What was done instead of a proposal.
+    """Text of what was executed instead of a proposal.
 
     Parameters
     ----------
-    at : the decision that refused it. record : the step's. name : names an action.
+    at : decision that refused the proposal. record : decision of the whole step. name : returns the name of an action.
     speed : of the ego at `at` [m/s].
     """
     if isinstance(at.executed, np.ndarray) and at.executed.shape == (2,) and at.executed is not record.executed:
@@ -67,13 +67,13 @@ def done(at: Decision, record: Decision, name: Any, speed: float) -> str:
 
 
 def _acceleration(command: Any) -> float | None:
-    """Of a command for one frame [m/s^2]; None of an action."""
+    """Acceleration of a command for one frame [m/s^2]; None for an action."""
     given = command.get("acceleration") if isinstance(command, dict) else getattr(command, "acceleration", None)
     return None if given is None else float(given)
 
 
 def proof(at: Decision, lost: Lost) -> str:
-    """Why what was done is right."""
+    """Text of the justification of what was executed."""
     if at.tier in _PROOFS:
         return f"{_PROOFS[at.tier]} ({_LOST[lost]})"
     if at.reason is Reason.RESUME:
@@ -82,7 +82,7 @@ def proof(at: Decision, lost: Lost) -> str:
 
 
 def nothing_judged(at: Decision, record: Decision, name: Any, speed: float, proposal: str, frame: int) -> Explanation:
-    """A step in which nothing was judged: the action was none, or the scene or the policy failed."""
+    """Explanation of a step without a verification: the action was invalid, or the scene or the policy failed."""
     nothing, lost = float("nan"), Lost.NOTHING if at.tier in (Tier.STORED_PLAN, Tier.ALTERNATIVE) else Lost.GUARANTEE
     tail = done(at, record, name, speed), proof(at, lost)
     return Explanation(proposal, at.reason, "", None, nothing, nothing, at.reason.text, *tail, at.margin, frame, lost)

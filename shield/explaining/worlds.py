@@ -1,4 +1,5 @@
-"""One of the others, seen from the ego in the world frame: on networks of roads, and where traffic is simulated."""
+"""Description of another vehicle from the ego's position, in the world frame: for road networks and simulated
+traffic."""
 
 from __future__ import annotations
 
@@ -15,18 +16,19 @@ __all__ = ["Described", "describe", "lane_of", "place"]
 
 @dataclass(frozen=True, slots=True)
 class Described:
-    """What is said of one of the others: the object, or its column where there are none, and the lane that it is on."""
+    """Identity of another vehicle: the object, or its column where there are no objects, and its lane."""
 
     vehicle: Any
     lane: str = ""
 
 
 def describe(ego: FloatArray, row: FloatArray, who: Described) -> Obstruction:
-    """One of the others.
+    """Description of another vehicle.
 
     Parameters
     ----------
-    ego, row : of the ego and of the other: x, y [m], heading [rad], speed [m/s], length, width [m].
+    ego, row : x, y [m], heading [rad], speed [m/s], length, width [m] of the ego and of the other vehicle.
+    who : its identity.
     """
     dx, dy, cos, sin = row[0] - ego[0], row[1] - ego[1], np.cos(ego[2]), np.sin(ego[2])
     along, across = float(dx * cos + dy * sin), float(dy * cos - dx * sin)
@@ -39,11 +41,12 @@ def describe(ego: FloatArray, row: FloatArray, who: Described) -> Obstruction:
 
 
 def place(along: float, across: float, length: float, width: float) -> tuple[str, float]:
-    """Where one of the others is seen from the ego, and how far it is from there [m].
+    """Direction of another vehicle from the ego, and the gap in that direction [m].
 
     Parameters
     ----------
-    along, across : of its centre from the ego's, ahead and to the right [m]. length, width : of both, halved [m].
+    along, across : position of its centre relative to the ego's, ahead and to the right [m].
+    length, width : half the sums of both bodies' extents [m].
     """
     if abs(along) >= length:
         return "ahead" if along > 0 else "behind", abs(along) - length
@@ -51,5 +54,5 @@ def place(along: float, across: float, length: float, width: float) -> tuple[str
 
 
 def lane_of(index: tuple[str, str, int]) -> str:
-    """The name of a lane of a network, such as "lane 0 from nx to ne"."""
+    """Name of a lane of a network, such as "lane 0 from nx to ne"."""
     return f"lane {index[2]} from {index[0]} to {index[1]}"

@@ -1,4 +1,4 @@
-"""Reading one discrete action out of whatever a policy returns."""
+"""Conversion of a policy's output to one discrete action."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 __all__ = ["action_index", "action_labels"]
 
 _LARGEST = 2.0**53
-"""Beyond it a float is no exact integer, and soon none that a kernel takes."""
+"""Beyond it not every integer is a float, and soon none fits a kernel's integer."""
 
 
 def action_index(action: Any) -> int:
-    """A single action index, or -1 where `action` is not one (NaN, wrong shape, not whole, beyond every integer).
+    """A single action index; -1 if `action` is not one (NaN, wrong shape, not whole, or too large).
 
     Examples
     --------
@@ -30,11 +30,11 @@ def action_index(action: Any) -> int:
 
 
 def action_labels(base: Any) -> dict[int, str]:
-    """The names of meta-actions by index, of one ego or of each of several; none of other actions.
+    """Names of the meta-actions by index, of one ego or of each of several; empty for other actions.
 
     Parameters
     ----------
-    base : the environment, unwrapped, or what is known of it (`shield.Known`).
+    base : the environment, unwrapped, or its prior map (`shield.Known`).
     """
     kind = getattr(base, "action_type", None)
     kind = getattr(kind, "agents_action_types", [kind])[0]

@@ -1,4 +1,4 @@
-"""Throttle and steering frame by frame, whoever judges them: what the doors for inputs have in common."""
+"""Throttle and steering frame by frame: the common part of the filters for inputs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["InputFrames"]
 
 
 class InputFrames(ABC):
-    """Takes a decision's action for its first frame, and the low-level action that highway-env repeats for the others.
+    """Filters the action of a decision at its first frame, and highway-env's repeated low-level action at the others.
 
     Parameters
     ----------
@@ -28,8 +28,8 @@ class InputFrames(ABC):
 
     Attributes
     ----------
-    actuators : what the policy controls.
-    cause : why the scene of the last frame could not be read, "" where it could.
+    actuators : the policy's actuators.
+    cause : why the scene of the last frame could not be read; "" if it could.
     """
 
     def __init__(self, base: Any, config: ShieldConfig) -> None:
@@ -39,12 +39,12 @@ class InputFrames(ABC):
         self._begin()
 
     def _begin(self) -> None:
-        """An episode begins.
+        """Begin an episode.
 
         Raises
         ------
         ConfigError
-            If the environment is now configured as the shield does not support.
+            If the environment's present configuration is not supported.
         """
         base = self._base
         check_configuration(base, self.config)
@@ -57,7 +57,7 @@ class InputFrames(ABC):
 
     @abstractmethod
     def _filter(self, begins: bool) -> tuple[FloatArray, Decision]:
-        """What is carried out in the coming frame instead of `_proposal`, (2,), and the record.
+        """Inputs of the coming frame in place of `_proposal`, (2,), and the record.
 
         Parameters
         ----------
@@ -65,14 +65,14 @@ class InputFrames(ABC):
         """
 
     def _physical(self, action: Any, read: FloatArray) -> FloatArray:
-        """The acceleration [m/s^2] and wheel [rad] of an action, (2,), which `read` is in normalised units."""
+        """Acceleration [m/s^2] and wheel angle [rad] of an action, (2,); `read` has the action's normalised values."""
         return self.actuators.physical(read)
 
     def decide(self, action: Any, order: Any = None) -> Decision:
-        """Filter an action for its first frame; `executed` is the action itself where that verifies.
+        """Filter an action for its first frame; `executed` is the action itself if it verifies.
 
-        Otherwise it is the action nearest to what the actuators get: the shield brakes harder than the policy can if it
-        has to. (Inputs have no order: `order` is for the door of meta-actions.)
+        Otherwise `executed` is the action nearest to the inputs, which may brake harder than the policy's actions can.
+        `order` is not used: inputs have no order of preference.
         """
         self._untouched = True
         if self._off:
@@ -83,16 +83,16 @@ class InputFrames(ABC):
         self._first = inputs, replace(decision, latency=0.0)
         executed = self.actuators.normalised(inputs)
         if decision.tier is Tier.PASSED:
-            # A whole number may have come in an array or a list, which the environment does not take.
+            # The index may have come in an array or a list, which the environment does not accept.
             executed = action if self.actuators.choices is None else int(np.asarray(action).item())
         return replace(decision, proposed=action, executed=executed, refusal=(decision, 0))
 
     def frame(self) -> tuple[dict[str, float] | None, Decision]:
-        """The low-level action of the next frame, None where the environment's own stands; and the record.
+        """Low-level action of the next frame, None to keep the environment's own; and the record.
 
-        highway-env repeats the low-level action that it has. So once a frame has been overridden, the next ones get
-        theirs from here, the proposal too; until then the proposal is what highway-env has made of it (it keeps an
-        acceleration that it has limited above `MAX_SPEED`).
+        highway-env repeats its last low-level action. So after an overridden frame, all later frames get their
+        low-level action from here, including verified proposals. Until then the proposal is the low-level action that
+        highway-env has computed. (It repeats an acceleration that it has limited above `MAX_SPEED`.)
         """
         first, self._first = self._first, None
         if first is None and self._untouched:

@@ -1,4 +1,4 @@
-"""The door for `ContinuousAction`: from normalised actions to filtered inputs, frame by frame."""
+"""The filter for `ContinuousAction`: from normalised actions to filtered inputs, frame by frame."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ class InputDoor(InputFrames):
     ----------
     base : the highway-env environment, unwrapped.
     config : settings.
-    agent : whether the shield acts through the actions only and not at every frame.
-    model : what the predictive filter plans with on a road, at every frame; the bicycle by default.
+    agent : whether the shield acts through the actions only, instead of at every frame.
+    model : model of the predictive filter, on a road with supervised frames; the bicycle by default.
 
     Raises
     ------
     ConfigError
-        If the mode is one of the rules for meta-actions, the actions are none that can be verified (with `agent`, those
-        of `DiscreteAction`), or a model is given where no predictive filter would use it.
+        If the mode is a rule for meta-actions, the actions cannot be verified (with `agent`: `DiscreteAction`), or a
+        model is given although no predictive filter uses it.
     SceneError
         If the environment has several controlled vehicles, or its road is not supported.
     """
@@ -55,18 +55,18 @@ class InputDoor(InputFrames):
         self._lot, self._agent, self._model = is_lot(base), agent, model
         if model is not None and (self._lot or agent):
             raise ConfigError("a model is for the predictive filter of ShieldedEnv on a road; leave it out here")
-        # A reader and a core belong together: what the one reads, the other judges.
+        # The core judges the kind of scene that the reader returns.
         self._reader: Any = LotReader(base) if self._lot else SceneReader(base, curved=True)
         self.core: Core[Any] = self._new_core()
         if base.road is not None and not self._off:
             self._check()
         _refuse_tyres(base)
         _refuse_speed_range(base)
-        # Last: what supervises the frames is refused for the same reasons as above.
+        # Last, because its message suggests supervision, which the checks above would refuse as well.
         self._refuse_choices()
 
     def _new_core(self) -> Core[Any]:
-        """What decides, for the actuators and the frequencies that the environment has now."""
+        """Decision core for the present actuators and frequencies of the environment."""
         self._made_for = self.actuators, self._period
         hold = self._period if self._agent else None
         if self._lot:
@@ -74,6 +74,7 @@ class InputDoor(InputFrames):
         return Core(Inputs(self.config, self.actuators, hold, model=self._model), explain_scene)
 
     def _refuse_choices(self) -> None:
+        """Raise `ConfigError` for `DiscreteAction` without supervised frames."""
         if self._agent and self.actuators.choices is not None:
             raise ConfigError(
                 "with frames=False the fail-safe goes through the policy's actions, and DiscreteAction has but a few; "
@@ -81,20 +82,20 @@ class InputDoor(InputFrames):
             )
 
     def record(self) -> None:
-        """Keep in each decision what is drawn, as with `ShieldConfig.record`."""
+        """Keep in each decision the data for drawings, as with `ShieldConfig.record`."""
         self.config = self.config.replace(record=True)
         procedure: Any = self.core.procedure
         procedure.config = procedure.config.replace(record=True)
 
     def reset(self) -> None:
-        """Forget everything about the episode, and compute what depends on the road alone.
+        """Clear everything about the episode, and compute the road-dependent tables.
 
         Raises
         ------
         SceneError
             If the episode's road is not supported.
         ConfigError
-            If the environment is now configured as the shield does not support.
+            If the environment's present configuration is not supported.
         """
         self._begin()
         _refuse_tyres(self._base)
@@ -109,27 +110,27 @@ class InputDoor(InputFrames):
         self._check()
         if not isinstance(procedure, Inputs):
             return
-        # A scene that cannot be read is for the first decision to fail closed on.
+        # An unreadable scene is handled by the first decision, which fails closed.
         with suppress(SceneError):
             procedure.prepare(self._reader.read())
 
     @property
     def violations(self) -> int:
-        """How often the traffic has broken the assumptions."""
+        """Number of violations of the assumptions by the traffic."""
         return self.core.violations
 
     @property
     def by_rule(self) -> dict[str, int]:
-        """The same by the rule that was broken."""
+        """The same by rule."""
         return self.core.by_rule
 
     @property
     def supervising(self) -> bool:
-        """Whether `frame` has a say."""
+        """Whether `frame` is called between decisions."""
         return not (self._off or self._agent)
 
     def look(self) -> None:
-        """Judge the others in the last frame of an episode, after which nothing is decided."""
+        """Run the monitor on the last frame of an episode, after which there is no decision."""
         if not self._off:
             self.core.look(read(self._reader))
 
@@ -146,7 +147,7 @@ class InputDoor(InputFrames):
         return inputs, replace(decision, latency=perf_counter() - start)
 
     def _check(self) -> None:
-        """Read what depends on the road alone, or say what reads this road."""
+        """Compute the road-dependent tables. An error names the settings that support this road."""
         try:
             self._reader.check()
         except SceneError as error:
@@ -156,21 +157,21 @@ class InputDoor(InputFrames):
             raise SceneError(f"without simulation this road is not supported: {instead}. ({error})") from error
 
     def _stopping(self) -> float:
-        """The acceleration that just stops the ego until the next scene, from its speed alone [m/s^2]; NaN where that
-        is not known."""
+        """Acceleration that stops the ego by the next scene, from its speed alone [m/s^2]; NaN if the speed is
+        unknown."""
         speed = float(getattr(self._base.vehicle, "speed", np.nan))
         frames = self._period if self._agent else 1
         return float(-speed * self._base.config["simulation_frequency"] / frames)
 
 
 def _same(a: tuple[Actuators, int], b: tuple[Actuators, int]) -> bool:
-    """Whether actuators and frames of a decision are equal."""
+    """Whether the actuators and the numbers of frames in a decision are equal."""
     names = [each.name for each in fields(Actuators)]
     return a[1] == b[1] and all(np.array_equal(getattr(a[0], name), getattr(b[0], name)) for name in names)
 
 
 def _refuse_speed_range(base: Any) -> None:
-    """Raise where the ego has limits of speed of its own."""
+    """Raise `ConfigError` if the action has a speed range of its own."""
     if getattr(base.action_type, "speed_range", None):
         raise ConfigError(
             f"the shield's rollouts assume highway-env's own speed limits; this environment's ContinuousAction has "
@@ -179,8 +180,11 @@ def _refuse_speed_range(base: Any) -> None:
 
 
 def _refuse_tyres(base: Any) -> None:
-    """Raise where tyres slip, and say what mends it: leaving that out where the user has asked for it, as no road that
-    has it by default is made or read without; and simulation where that serves."""
+    """Raise `ConfigError` if the vehicle model has tyre slip, and name the remedies.
+
+    One remedy is to leave "dynamical" out, if the user has set it; a road that has it by default supports no other
+    model. The other is simulation, where that is supported.
+    """
     if not getattr(base.action_type, "dynamical", False):
         return
     own = base.default_config()["action"].get("dynamical", False)

@@ -1,4 +1,5 @@
-"""The door for `DiscreteMetaAction`: meta-actions filtered, and the frames between two of them supervised."""
+"""The filter for `DiscreteMetaAction` on a straight highway: filters decisions, and supervises the frames between
+them."""
 
 from __future__ import annotations
 
@@ -36,23 +37,23 @@ class MetaDoor:
 
     Parameters
     ----------
-    base : the highway-env environment, unwrapped; None where it is out of reach, and `scenes` are all that there is.
+    base : the highway-env environment, unwrapped; None if it is in another process. Then `scenes` are the only source.
     config : settings.
-    frames : whether the frames between two decisions are supervised, with `frame`. Without, a meta-action has to last
-        until the next decision, and the shield's look-ahead ends with its horizon.
-    rule : what decides alone, as the modes of `RULES_ALONE` do.
-    scenes : what reads scenes; the simulator's true state by default.
+    frames : whether the frames between two decisions are supervised, with `frame`. Without supervision a meta-action
+        lasts until the next decision, and is verified over the horizon only.
+    rule : a rule that decides alone, as in the modes of `RULES_ALONE`.
+    scenes : scene reader; by default it reads the simulator's state.
 
     Raises
     ------
     SceneError
         If the environment's road or number of controlled vehicles is not supported.
     ConfigError
-        If it is a parking lot, or configured as the shield does not support.
+        If the environment is a parking lot, or its configuration is not supported.
 
     Attributes
     ----------
-    core : what decides, and remembers. cause : why the scene of the last decision could not be read, "" where it could.
+    core : decides, and holds the memory. cause : why the scene of the last decision could not be read; "" if it could.
     """
 
     def __init__(
@@ -80,35 +81,35 @@ class MetaDoor:
 
     @property
     def violations(self) -> int:
-        """How often the traffic has broken the assumptions."""
+        """Number of violations of the assumptions by the traffic."""
         return self.core.violations
 
     @property
     def by_rule(self) -> dict[str, int]:
-        """The same by the rule that was broken."""
+        """The same by rule."""
         return self.core.by_rule
 
     @property
     def supervising(self) -> bool:
-        """Whether `frame` has a say."""
+        """Whether `frame` is called between decisions."""
         return self.config.mode == "full" and not self._alone
 
     def record(self) -> None:
-        """Keep in each decision what is drawn, as with `ShieldConfig.record`."""
+        """Keep in each decision the data for drawings, as with `ShieldConfig.record`."""
         self.config = self.config.replace(record=True)
         procedures: tuple[Any, ...] = (self._meta, self._frames, self.core.procedure)
         for procedure in procedures:
             procedure.config = self.config
 
     def reset(self) -> None:
-        """Forget everything about the episode.
+        """Clear everything about the episode.
 
         Raises
         ------
         SceneError
             If the episode's road is not supported.
         ConfigError
-            If the environment is now configured as the shield does not support.
+            If the environment's present configuration is not supported.
         """
         if self._base is not None:
             check_configuration(self._base, self.config)
@@ -118,21 +119,22 @@ class MetaDoor:
         self._passed = None
 
     def show(self, observation: Any) -> None:
-        """What the policy sees, before it is decided about: nothing to one that reads the simulator's state."""
+        """Present the policy's observation before a decision. Without effect if scenes come from the simulator's
+        state."""
         if self._scenes is not None and self.observing:
             self._scenes.show(observation)
 
     @property
     def observing(self) -> bool:
-        """Whether its scenes are made from observations."""
+        """Whether scenes are made from observations."""
         return self._scenes is not None and self.config.mode != "none"
 
     def begins(self) -> bool:
-        """Whether what was shown last begins an episode, where neither an environment nor anybody else says so."""
+        """Whether the last observation begins an episode that was not announced (`BlindScenes.begins`)."""
         return self.observing and isinstance(self._scenes, BlindScenes) and self._scenes.begins()
 
     def decide(self, action: Any, order: Callable[[], list[int] | None] | None = None) -> Decision:
-        """Filter one meta-action; `order` gives the policy's order of preference over the others."""
+        """Filter one meta-action; `order` returns the policy's order of preference over the others."""
         start, proposed, labels = perf_counter(), action_index(action), self.reader.actions
         shown = action if proposed < 0 else proposed
         self._passed = None
@@ -148,10 +150,10 @@ class MetaDoor:
         return replace(self._rated(decision, scene), proposed=shown, latency=perf_counter() - start)
 
     def frame(self) -> tuple[Command, Decision]:
-        """What the actuators get for the next frame, None where the environment's own stands; and the record."""
+        """Command for the next frame, None to keep the environment's own; and the record."""
         passed, self._passed = self._passed, None
         if passed is not None and self._tracked() == passed[1]:
-            # The decision has just verified this very frame, with this very target.
+            # The decision has just verified this frame, with the same target command.
             return None, passed[0]
         scene = read(self.reader)
         blind = Target(int(self._base.vehicle.lane_index[2]), 0.0)
@@ -160,23 +162,23 @@ class MetaDoor:
         return (None if decision.tier is Tier.PASSED else decision.executed), decision
 
     def look(self) -> None:
-        """Judge the others in the last frame of an episode, after which nothing is decided."""
+        """Run the monitor on the last frame of an episode, after which there is no decision."""
         if self._scenes is None and self.config.mode != "none" and not self._alone:
             self.core.look(read(self.reader), self._frames if self.supervising else None)
 
     def mask(self) -> np.ndarray[Any, Any]:
-        """Which actions verify now; all True where none does."""
+        """Mask of the actions that verify now; all True if none does."""
         mask: np.ndarray[Any, Any] = self._meta.mask(self.core.memory, self.reader.read())
         return mask if mask.any() else np.ones_like(mask)
 
     def _check(self) -> None:
-        """Read what depends on the road alone, or say what filters meta-actions on this road."""
+        """Compute the road-dependent tables. An error names the settings that support meta-actions on this road."""
         try:
             self.reader.check()
         except SceneError as error:
             if self._base is None or self._base.road is None:
                 raise
-            # Imported here: what simulates takes longer to import.
+            # Imported here, because the simulation takes longer to import.
             from shield.filters.simulated.remedies import by_default, by_simulation
 
             instead = "; or ".join(each for each in (by_default(self._base), by_simulation(self._base)) if each)
@@ -185,7 +187,7 @@ class MetaDoor:
             raise SceneError(f"this road is not supported with these settings: {instead}. ({error})") from error
 
     def _rated(self, decision: Decision, scene: Any) -> Decision:
-        """The same with what its certificate rests on."""
+        """The decision with the guarantee of its perception."""
         if self._scenes is None or isinstance(scene, Unreadable):
             return decision
         perception = self._scenes.perception
@@ -193,6 +195,6 @@ class MetaDoor:
         return replace(decision, sight=sight, level=level, alarm=perception.alarmed)
 
     def _tracked(self) -> Target:
-        """What the ego's controllers track."""
+        """Target command that the ego's controllers track."""
         ego = self._base.vehicle
         return Target(int(ego.target_lane_index[2]), float(ego.target_speed))

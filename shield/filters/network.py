@@ -1,4 +1,4 @@
-"""The door for meta-actions on road networks whose traffic may do whatever the assumptions permit."""
+"""The filter for meta-actions on road networks, in the worst case that the assumptions permit."""
 
 from __future__ import annotations
 
@@ -44,10 +44,9 @@ _OF_A_DECISION = ("_wish", "_left", "_ready", "_others", "_who", "_trial")
 class RoadDoor:
     """Filters the meta-actions of one environment on a road network, frame by frame.
 
-    Each frame the decision's lane and speed are followed by the ego, alone, for some time, and then braking to a
-    standstill; this path has to stay clear of every place where anybody may be
-    (`shield.certificate.network.clearance`). Where none does, the greatest lower speed that does is taken, or what was
-    verified a frame before.
+    A candidate follows the target command for some frames, and then brakes to a standstill. Its path has to stay clear
+    of every place that another vehicle can reach (`shield.certificate.network.clearance`). If no candidate is clear,
+    the filter takes the greatest lower speed that is clear, or the candidate verified a frame before.
 
     Parameters
     ----------
@@ -58,15 +57,15 @@ class RoadDoor:
     SceneError
         If the road has lanes of another shape, or there are several egos.
     ConfigError
-        If the actions are no meta-actions, or it is a parking lot.
+        If the actions are not meta-actions, or the environment is a parking lot.
 
     Attributes
     ----------
-    cause : why the scene of the last decision could not be read, "" where it could.
-    watch : what has been seen of the others.
-    disturbed : whether one who has broken a rule has been in the way of what was verified last.
-    kept : how far what was verified last stayed clear of each of the others then, and does a frame later [m]. Of who
-        keeps to what is assumed it is never less.
+    cause : why the scene of the last decision could not be read; "" if it could.
+    watch : monitor of the other vehicles.
+    disturbed : whether a violator has intruded on the candidate that was verified last.
+    kept : separation of that candidate from each vehicle when it was verified, and a frame later [m]. For a vehicle
+        that keeps to the assumptions the second is never less.
     """
 
     supervising = True
@@ -97,22 +96,22 @@ class RoadDoor:
 
     @property
     def _frequency(self) -> float:
-        """Frames per second, as the environment is configured now."""
+        """Frames per second, in the environment's present configuration."""
         return float(self._base.config["simulation_frequency"])
 
     @property
     def violations(self) -> int:
-        """How often the traffic has broken the assumptions."""
+        """Number of violations of the assumptions by the traffic."""
         return self._past.total() + self.watch.count
 
     @property
     def by_rule(self) -> dict[str, int]:
-        """The same by the rule that was broken."""
+        """The same by rule."""
         return {str(rule): count for rule, count in (self._past + Counter(self.watch.by_rule)).items()}
 
     @property
     def ahead(self) -> dict[tuple[str, str, int], list[tuple[str, str, int]]]:
-        """The lanes that each lane of the road leads to."""
+        """The successors of each lane of the road."""
         return {
             lane: [self._names[k] for k in row if k >= 0]
             for lane, row in zip(self._names, self._road.ways.after, strict=True)
@@ -120,25 +119,28 @@ class RoadDoor:
 
     @property
     def over(self) -> dict[tuple[str, str, int], tuple[str, str, int]]:
-        """The lane that one has to come over to from each that ends."""
+        """For each lane that ends, the lane into which its vehicles have to change."""
         return {self._names[k]: self._names[beside] for k, beside in enumerate(self._road.ways.over) if beside >= 0}
 
     @property
     def foreseen(self) -> Foreseen:
-        """What the last decision has gone by."""
+        """Prediction that the last decision used."""
         return foreseen(self._others, self._trial, self._names)
 
     def counts_on(self, body: Any) -> bool:
-        """Whether another vehicle has been counted on to wait for the ego, and has had the time to react: unless it
-        brakes now, it may break the rule of the right of way (`shield.certificate.network.monitor`)."""
+        """Whether another vehicle is expected to wait for the ego, and has had its reaction time.
+
+        Unless that vehicle brakes now, it may violate the right of way (`shield.certificate.network.monitor`).
+        """
         return self._dues.counts_on(body, self._road.duty.reaction)
 
     def is_owed_by(self, body: Any) -> bool:
-        """Whether another vehicle owes the ego its distance: it is behind it, and is believed to brake in time."""
+        """Whether another vehicle has a distance obligation: it is behind the ego, and is expected to brake in time."""
         return self._dues.is_owed_by(body)
 
     def culprits(self, bodies: Iterable[Any]) -> set[Any]:
-        """Who of those that the ego has just crashed with had broken a rule, or has since the last frame."""
+        """Those of the vehicles in a crash with the ego that are violators, including a violation since the last
+        frame."""
         hit = set(bodies)
         for body in hit:
             body.crashed = False
@@ -153,22 +155,22 @@ class RoadDoor:
                 body.crashed = True
 
     def have_broken(self, bodies: Iterable[Any], since: Seen) -> set[Any]:
-        """Who of these has broken a rule from a scene on, a frame ago, to the one seen last, whether or not what is
-        verified suffers from it."""
+        """Those of the vehicles that violated a rule in the frame from `since` to the last scene, whether or not the
+        ego's fail-safe is affected."""
         last = self.watch.last
         return set() if last is None else Watch(last=since).judge(last, set(bodies), self._road, set())
 
     def record(self) -> None:
-        """Keep in each decision what is drawn, as with `ShieldConfig.record`."""
+        """Keep in each decision the data for drawings, as with `ShieldConfig.record`."""
         self.config = self.config.replace(record=True)
 
     def reset(self) -> None:
-        """Forget everything about the episode.
+        """Clear everything about the episode.
 
         Raises
         ------
         ConfigError, SceneError
-            As of the class, if the environment is now configured otherwise.
+            As of the class, if the environment's configuration has changed.
         """
         check_configuration(self._base, self.config)
         self._forget()
@@ -196,7 +198,7 @@ class RoadDoor:
         return replace(decision, proposed=shown, executed=proposed, latency=perf_counter() - start)
 
     def frame(self) -> tuple[Command, Decision]:
-        """What the actuators get for the next frame, None where the environment's own stands; and the record."""
+        """Command for the next frame, None to keep the environment's own; and the record."""
         start = perf_counter()
         try:
             if self._ready is None:
@@ -216,14 +218,15 @@ class RoadDoor:
             return inputs, Decision(-1, -1, reason, Tier.EMERGENCY, np.nan, perf_counter() - start)
 
     def look(self) -> None:
-        """Judge the others in the last frame of an episode, after which nothing is decided."""
+        """Run the monitor on the last frame of an episode, after which there is no decision."""
         try:
             self._read()
         except Exception as error:
             _, self.cause = why_unread(error)
 
     def mask(self) -> np.ndarray[Any, Any]:
-        """Which actions verify now; all True where none does. No decision, and no record, is another for being asked.
+        """Mask of the actions that verify now; all True if none does. Read-only: changes no memory, record or later
+        decision.
 
         Raises
         ------
@@ -244,29 +247,30 @@ class RoadDoor:
         return mask if mask.any() else np.ones_like(mask)
 
     def _intend(self, action: int) -> None:
-        """Take a meta-action for what is wished from now on."""
+        """Set the target command of a meta-action."""
         alone, self._left = self._alone, self._bound
         command(alone.machine, alone.worlds, alone.rules, 0, 0, action)
         self._wish = Wish(self._bound, float(alone.worlds.f[0, TARGET_SPEED, 0]))
 
     def _idle(self) -> int:
+        """Index of IDLE, or of SLOWER where there is no IDLE."""
         labels = self._base.action_type.actions_indexes
         return int(labels.get("IDLE", labels.get("SLOWER", 0)))
 
     @property
     def _bound(self) -> int:
-        """The lane that the ego is bound for."""
+        """Index of the ego's target lane."""
         return int(self._alone.worlds.g[0, TARGET, 0])
 
     def _lanes(self) -> list[int]:
-        """The lane that the ego is bound for, and on the same road those that it was bound for before the decision, and
-        that it is on: it may not have left them yet."""
+        """The ego's target lane; and, if they are on the same road, the target lane before the decision and the present
+        lane, which the ego may not have left yet."""
         ids, bound = self._road.lanes.ids, self._bound
         own = int(self._alone.worlds.g[0, LANE, 0])
         return [bound, *(lane for lane in (self._left, own) if lane >= 0 and ids[lane, ROAD] == ids[bound, ROAD])]
 
     def _furnish(self) -> None:
-        """Room for the episode's road."""
+        """Allocate the buffers for the episode's road, and compute its tables."""
         base = self._base
         if len(base.controlled_vehicles) != 1:
             raise SceneError(f"have one ego on a road network, not {len(base.controlled_vehicles)}")
@@ -282,7 +286,7 @@ class RoadDoor:
         self._trial = empty_trial(self._frames, len(self._names), 0)
 
     def _read(self) -> None:
-        """Take in the scene, and once what has become of it since the one before."""
+        """Read the scene and, once a frame, run the monitor."""
         seen, frame = self._see(), int(self._base.steps)
         if frame != self._judged:
             self._watch(seen)
@@ -291,7 +295,7 @@ class RoadDoor:
         self._others.offends[:] = [body in self.watch.offenders for body in seen.who]
 
     def _see(self) -> Seen:
-        """Look at the scene."""
+        """Read the scene."""
         base = self._base
         if base.road.network is not self._network or length_of_route(base) > self._alone.worlds.routes.shape[2]:
             self._furnish()
@@ -301,20 +305,20 @@ class RoadDoor:
         if len(self._trial.margins) != len(seen.who):
             self._trial = empty_trial(self._frames, len(self._names), len(seen.who))
         if self.watch.last is None:
-            # Whoever is behind when it all begins has seen the ego for long.
+            # At the beginning every follower has seen the ego for long enough to react.
             self._try(stopping(self._bound, self.config.braking))
             self._keep_distance(seen.who, True)
         return seen
 
     def _look(self) -> Seen:
-        """The others, and where they can be."""
+        """Predict the reachable places of the other vehicles."""
         return self._outlook.look(self._dues)
 
     def _watch(self, seen: Seen) -> None:
-        """Who has broken a rule since the scene before."""
+        """Run the monitor on the motions since the last scene."""
         margins, late, self.kept, ego = None, set[Any](), {}, self._base.vehicle
-        # Who has been hit does not do what it is told; who is about to be has done it so far, and is judged unpushed.
-        # A plan ends where the road does: nothing is promised of what highway-env has the ego do then.
+        # A crashed ego does not obey its commands. An ego about to be hit has obeyed so far: it is judged without the
+        # impact. A candidate ends where the road ends: highway-env's behaviour beyond that is not predicted.
         if self._stored is not None and not ego.crashed and not self._at_end():
             flags = self._alone.worlds.g[0, IMPACTED]
             pushed, flags[:] = flags.copy(), 0
@@ -325,20 +329,21 @@ class RoadDoor:
         self.disturbed = self.disturbed or bool(self.watch.offenders)
 
     def _at_end(self) -> bool:
-        """Whether the ego has come to the end of its road."""
+        """Whether the ego is at the end of its road."""
         worlds = self._alone.worlds
         return bool(on_way(self._alone.rules, worlds.f[0], worlds.g[0])[1])
 
     def _try(self, course: Course) -> None:
-        """Have the trial hold what comes of a course; whoever owes the ego its distance keeps it."""
+        """Write the rollout of a candidate to the trial buffer; vehicles with a distance obligation keep their
+        distance."""
         try_course(self._alone, self._road, self._others, np.array(course, float), True, self._trial)
 
     def _keep_distance(self, who: list[Any], verified: bool) -> None:
-        """Who owes the ego its distance from now on, where it goes on with what the trial holds."""
+        """Update the distance obligations for the candidate in the trial buffer."""
         self._dues.keep_distance(who, self._others, self._trial, self._road, verified)
 
     def _choose(self) -> tuple[Course, Decision]:
-        """What is gone on with, and the record of it."""
+        """The chosen candidate, and the record."""
         alone, braking = self._alone, self.config.braking
         if self._wish is None:
             self._wish = Wish(self._bound, float(alone.worlds.f[0, TARGET_SPEED, 0]))
@@ -349,7 +354,7 @@ class RoadDoor:
         found: Choice = choose(alone, self._road, self._bare.body, self._others, courses, *room)
         margin, who, evades = found.margin, found.vehicle, found.innocent >= CLEAR
         if margin < CLEAR and found.clear == 0:
-            # The buffer is gone: what is left to save is the body.
+            # No candidate keeps the buffer: choose by the bodies alone (collision mitigation).
             evades, found = False, save(alone, self._bare, self._others, courses, speed, *room)
         course, tier = tried[found.course]
         reason = Reason.NONE if tier is Tier.PASSED else Reason.UNVERIFIED
@@ -361,7 +366,7 @@ class RoadDoor:
         return course, Decision(-1, -1, reason, tier, float(margin), 0.0, plan, vehicle=int(who), source=source)
 
     def _kept(self, tried: list[tuple[Course, Tier]]) -> Source:
-        """What a decision is made from, for whoever asks why."""
+        """Data for an explanation of the decision."""
         ego, labels = self._base.vehicle, action_labels(self._base)
         return on_roads(
             self._alone,
@@ -376,7 +381,7 @@ class RoadDoor:
         )
 
     def _go(self, course: Course, tier: Tier) -> None:
-        """Remember what is gone on with; the trial holds what comes of it."""
+        """Record the chosen candidate, whose rollout is in the trial buffer, and update the obligations."""
         who = [] if self.watch.last is None else self.watch.last.who
         self._then = {body: float(self._trial.margins[i]) for i, body in enumerate(who)} if tier.verified else {}
         self.disturbed = self.disturbed and not tier.verified
@@ -390,6 +395,7 @@ class RoadDoor:
             self._wish = self._wish._replace(lane=bound)
 
     def _command(self, tier: Tier) -> Command:
+        """Low-level action of the frame; None if the environment's own is the same."""
         ego, lane = self._base.vehicle, self._names[int(self._trial.bound[0])]
         if tier is Tier.PASSED and self._index[ego.target_lane_index] == int(self._trial.bound[0]):
             return None

@@ -1,4 +1,4 @@
-"""A policy without a throttle: which speed it is owed."""
+"""Speed recovery for a policy without a throttle."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from dynamics.vehicle.controllers import KP_SPEED
 __all__ = ["Cruise"]
 
 _SAME_SPEED = 1e-3
-"""Speeds that count as the same [m/s]."""
+"""Speeds that differ by less count as equal [m/s]."""
 
 
 class Cruise:
-    """Brings the ego of a policy that only steers back to the speed that the shield has taken from it.
+    """Brings the ego of a policy that only steers back to its speed before the shield braked.
 
     Parameters
     ----------
-    actuators : what the policy controls.
+    actuators : the policy's actuators.
     """
 
     def __init__(self, actuators: Actuators) -> None:
@@ -27,11 +27,12 @@ class Cruise:
         self._speed: float | None = None
 
     def reset(self) -> None:
-        """Forget the speed."""
+        """Clear the speed."""
         self._speed = None
 
     def proposal(self, inputs: FloatArray, speed: float) -> FloatArray:
-        """The policy's inputs (acceleration, wheel), (2,), with what brings the ego back from a speed [m/s]."""
+        """Inputs (acceleration, wheel), (2,): the policy's, with an acceleration towards the former speed if `speed`
+        [m/s] differs from it."""
         if self._actuators.longitudinal:
             return inputs
         if self._speed is None:

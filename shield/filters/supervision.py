@@ -1,4 +1,4 @@
-"""The last word on the ego's low-level action at every simulation frame: a hook on its `act`."""
+"""Override of the ego's low-level action at every simulation frame: a hook on its `act`."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from shield.pipelines.frames import FrameCommand
 __all__ = ["Command", "Supervision", "limited_braking"]
 
 Command = FrameCommand | dict[str, float] | None
-"""What the actuators get for one frame: a lane and an acceleration, or both inputs as highway-env names them; None
-where the environment's own low-level action stands."""
+"""Command for one frame: a lane and an acceleration, or both inputs with highway-env's names. None keeps the
+environment's own low-level action."""
 
 
 def limited_braking(acceleration: float, speed: float, frequency: float) -> float:
-    """An acceleration, limited so that braking ends in a standstill: it never makes the ego drive backwards, and an
-    ego that drives backwards is braked too [m/s^2].
+    """Acceleration [m/s^2], limited so that braking ends in a standstill. It never makes the ego drive backwards, and
+    brakes an ego that drives backwards.
 
     Parameters
     ----------
-    acceleration : asked for [m/s^2]; below zero it is braking. speed : of the ego [m/s], below zero backwards.
+    acceleration : requested [m/s^2]; below zero it is braking. speed : of the ego [m/s], below zero backwards.
     frequency : frames per second.
 
     Examples
@@ -36,31 +36,31 @@ def limited_braking(acceleration: float, speed: float, frequency: float) -> floa
 
 
 class Supervision:
-    """Lets `frame` have the last word on what one vehicle does, from `install` to `remove`.
+    """Replaces the low-level action of one vehicle by that of `frame`, from `install` to `remove`.
 
     highway-env calls `vehicle.act(action)` with the decision's action, and `vehicle.act()` at each frame. A copy of the
-    vehicle is not supervised: it lives in another road than the one that `frame` reads.
+    vehicle is not supervised, because `frame` reads another road.
 
     Parameters
     ----------
-    env : the environment, unwrapped. frame : asked once a frame, after the vehicle's own controllers.
+    env : the environment, unwrapped. frame : called once a frame, after the vehicle's own controllers.
     """
 
     def __init__(self, env: Any, frame: Callable[[], Command]) -> None:
         self._env, self._frame, self._ego = env, frame, env.vehicle
 
     def install(self) -> Supervision:
-        """Stand in the place of the vehicle's `act`."""
+        """Replace the vehicle's `act`."""
         self._ego.act = self
         return self
 
     def remove(self) -> None:
-        """Give the vehicle its own `act` back."""
+        """Restore the vehicle's own `act`."""
         if self._ego.__dict__.get("act") is self:
             del self._ego.act
 
     def supervises(self, ego: Any) -> bool:
-        """Whether this stands in the place of that vehicle's `act`."""
+        """Whether this object replaces the `act` of the given vehicle."""
         return ego is self._ego and ego.__dict__.get("act") is self
 
     def __enter__(self) -> Supervision:

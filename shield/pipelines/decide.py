@@ -1,9 +1,8 @@
 """One decision: `decide(memory, scene, proposal, procedure) -> (decision, memory)`.
 
-A procedure says which plans are worth verifying, in which order, and what to do where none verifies. The rest is the
-same for meta-actions, frames, throttle and steering, and parking lots: the first plan that verifies is executed, and
-whatever goes wrong on the way, the procedure's last resort acts. Nothing is kept anywhere but in the memory, so that a
-decision can be made again from what it was made from.
+A decision pipeline (`Procedure`) lists the plans to verify in order, and a fallback. The rest is the same for
+meta-actions, frames, throttle and steering, and parking lots. The first plan that verifies is executed, and after any
+error the pipeline's last resort. All state is in the memory, so a decision can be repeated from its arguments.
 """
 
 from __future__ import annotations
@@ -30,26 +29,26 @@ __all__ = ["Core", "Explainer", "Made", "Plan", "Procedure", "Reader", "Tried", 
 _log = logging.getLogger(__name__)
 
 S = TypeVar("S")
-"""What has to be remembered of a fail-safe, see `Memory.stored`."""
+"""Type of the stored fail-safe, see `Memory.stored`."""
 View = TypeVar("View")
-"""What a procedure looks at: a scene, with what is remembered."""
+"""Type of a pipeline's view: a scene together with the memory."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan(Generic[S]):
-    """An action, and the fail-safe that comes after it.
+    """An action, and the fail-safe that follows it.
 
     Attributes
     ----------
-    action : what is executed.
-    margin : clearance beyond the buffer of both [m]; it verifies where that is not negative.
-    stored : what plays the fail-safe on afterwards, see `Memory.stored`.
-    clear : frames for which it stays clear.
+    action : the executed action.
+    margin : clearance beyond the buffer of both [m]; it verifies from 0 on.
+    stored : data with which the fail-safe continues, see `Memory.stored`.
+    clear : number of frames that stay clear.
     path : states after frames 1..K, (K, 4), or None.
-    binding : the clause that the margin comes from, and the vehicle.
+    binding : binding clause and binding vehicle of the margin.
     occupancy : see `Decision.occupancy`.
-    predicted : a plan of the predictive filter to start its next one from, (N, 2).
-    trusted : whether it is taken without a certificate: a rule alone has let it pass.
+    predicted : plan of the predictive filter, the initial guess of its next one, (N, 2).
+    trusted : whether the plan counts as verified without a certificate, because a rule alone accepted it.
     entered : see `Memory.entered`.
     """
 
@@ -66,13 +65,13 @@ class Plan(Generic[S]):
 
     @property
     def verified(self) -> bool:
-        """Whether it may be executed."""
+        """Whether the plan may be executed."""
         return self.trusted or self.margin >= 0
 
 
 @dataclass(frozen=True, slots=True)
 class Tried(Generic[S]):
-    """A plan that has been judged, the stage that it comes from, and why it takes the proposal's place."""
+    """A judged plan, with its tier and the reason that is recorded if it is executed."""
 
     tier: Tier
     reason: Reason
@@ -81,12 +80,12 @@ class Tried(Generic[S]):
 
 @dataclass(frozen=True, slots=True)
 class Unreadable:
-    """What stands for a scene that cannot be read.
+    """Placeholder for a scene that cannot be read.
 
     Attributes
     ----------
-    reason : why. cause : what was raised. stopping : the acceleration that just stops the ego until the next scene
-        [m/s^2], NaN where its speed is not known.
+    reason : reason for the record. cause : text of the error.
+    stopping : acceleration that stops the ego by the next scene [m/s^2]; NaN if its speed is unknown.
     """
 
     reason: Reason = Reason.BAD_SCENE
@@ -95,29 +94,29 @@ class Unreadable:
 
 
 class Procedure(Protocol[S, View]):
-    """How one kind of action is decided about: manoeuvres, clauses, and repair in stages."""
+    """Decision pipeline for one kind of action: plans in order, and the fallback."""
 
     def refuses(self, scene: Any, proposal: Any) -> Reason | None:
-        """Why nothing is verified at all: the scene or the proposal is no good. None where they are."""
+        """Reason if the scene or the proposal is unsuitable for verification; else None."""
 
     def observe(self, memory: Memory[S], scene: Any) -> tuple[View, Memory[S]]:
-        """Take in a scene."""
+        """Observe a scene: the view for `plans`, and the new memory."""
 
     def plans(self, view: View, proposal: Any) -> Iterator[Tried[S]]:
-        """What to verify, in order: the proposal, and then what may take its place."""
+        """Plans to verify, in order: the proposal, and then its replacements."""
 
     def fall_back(self, view: View, proposal: Any, tried: list[Tried[S]]) -> Tried[S]:
-        """What to do where none of `plans` verifies."""
+        """Plan to execute if none of `plans` verifies."""
 
     def last_resort(self, memory: Memory[S], scene: Any, proposal: Any) -> tuple[Tier, Plan[S]]:
-        """What to do where nothing can be judged. It must not raise, whatever the scene."""
+        """Plan to execute without a verification. Must not raise for any scene."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Made(Generic[S]):
-    """What one decision was made from, for whoever asks why: references, from which it can be made again.
+    """Data of one decision for its explanation: references to the arguments, from which it can be repeated.
 
-    A copy that is pickled has nothing of it.
+    A pickled copy is None.
     """
 
     memory: Memory[S]
@@ -135,18 +134,19 @@ class Made(Generic[S]):
 
 
 Explainer = Callable[[Made[Any], Decision, Decision, int], Explanation]
-"""Says why, see `shield.decision.Source`, of what a decision was made from."""
+"""Explains a decision from its data, see `shield.decision.Source`."""
 
 
 def decide(
     memory: Memory[S], scene: Any, proposal: Any, procedure: Procedure[S, Any], explain: Explainer | None = None
 ) -> tuple[Decision, Memory[S]]:
-    """One decision, and the memory for the next one; neither argument is changed.
+    """One decision, and the memory for the next one; the arguments are not changed.
 
     Parameters
     ----------
     memory : of the decisions so far. scene : a scene, or `Unreadable`.
-    proposal : what the procedure decides about. explain : how the decision can be explained; None if it need not be.
+    proposal : argument of the pipeline. procedure : the pipeline.
+    explain : function that can explain the decision; None if no explanation is needed.
     """
     start, seen = perf_counter(), memory
     source = None if explain is None else Made(memory, scene, proposal, procedure, explain)
@@ -165,7 +165,7 @@ def decide(
         if refused is Reason.BAD_SCENE:
             seen = _observe_readable(memory, scene, procedure)
     except Exception:
-        # Fail closed: a stage that breaks must not let the proposal through.
+        # Fail closed: after an error in a stage the proposal must not pass.
         _log.exception("a stage of the shield raised; the last resort acts")
         refused = Reason.STAGE_FAILED
     tier, plan = procedure.last_resort(seen, scene, proposal)
@@ -173,7 +173,8 @@ def decide(
 
 
 def _observe_readable(memory: Memory[S], scene: Any, procedure: Procedure[S, Any]) -> Memory[S]:
-    """Take in a scene some of whose others are not readable: they break a rule by it, the rest are judged as ever."""
+    """Observe a scene without the vehicles whose state is unreadable. An unreadable state counts as a violation; the
+    other vehicles are judged as usual."""
     if not isinstance(scene, Scene) or scene.observed or not readable(scene.ego).all():
         return memory
     strange, before = scene.unreadable, memory.watch
@@ -189,6 +190,7 @@ def _observe_readable(memory: Memory[S], scene: Any, procedure: Procedure[S, Any
 def _decided(
     start: float, memory: Memory[S], proposal: Any, one: Tried[S], source: Made[S] | None
 ) -> tuple[Decision, Memory[S]]:
+    """The decision for a plan, and the new memory."""
     tier, plan = one.tier, one.plan
     stored = None if tier is Tier.LARGEST_MARGIN else plan.stored
     watch = memory.watch.forgiven() if tier.verified else memory.watch
@@ -200,19 +202,19 @@ def _decided(
 
 
 class Reader(Protocol):
-    """What reads scenes."""
+    """A reader of scenes."""
 
     def read(self) -> Any:
-        """The scene now; raises SceneError where there is none."""
+        """The present scene; raises `SceneError` if there is none."""
 
 
 class Core(Generic[S]):
-    """Procedures of one vehicle, and their memory.
+    """Decision pipelines of one vehicle, and their memory.
 
     Attributes
     ----------
-    procedure : the one that decides unless another is named. memory : of the decisions so far.
-    explain : how its decisions can be explained; None where nothing is kept for that.
+    procedure : the default pipeline. memory : of the decisions so far.
+    explain : explains its decisions; None to keep no data for explanations.
     """
 
     def __init__(self, procedure: Procedure[S, Any], explain: Explainer | None = None) -> None:
@@ -220,32 +222,32 @@ class Core(Generic[S]):
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything about the episode."""
+        """Clear everything about the episode."""
         self.memory: Memory[S] = Memory()
         self._looked: tuple[Any, Memory[S]] | None = None
 
     @property
     def violations(self) -> int:
-        """How often the others have broken the assumptions."""
+        """Number of violations of the assumptions by the other vehicles."""
         return self.memory.watch.count
 
     @property
     def by_rule(self) -> dict[str, int]:
-        """The same by the rule that was broken."""
+        """The same by rule."""
         return self.memory.watch.named
 
     def decide(self, scene: Any, proposal: Any, procedure: Procedure[S, Any] | None = None) -> Decision:
-        """The next decision; see `decide`."""
+        """The next decision; see the function `decide`."""
         looked, self._looked = self._looked, None
         if looked is not None and not _alike(looked[0], scene):
-            # The world has been changed since, by hand: it is taken in anew.
+            # The user has changed the scene since `look`: observe it again.
             self.memory = looked[1]
         decision, self.memory = decide(self.memory, scene, proposal, procedure or self.procedure, self.explain)
         return decision
 
     def look(self, scene: Any, procedure: Procedure[S, Any] | None = None) -> None:
-        """Take in a scene before anything is decided about it, such as the last of an episode: the others may have
-        broken a rule on the way there. A decision about the same scene does not judge them again."""
+        """Observe a scene before a decision about it, such as the last scene of an episode, to count the violations on
+        the way there. A later decision about the same scene does not judge them again."""
         if isinstance(scene, Unreadable):
             return
         before, procedure = self.memory if self._looked is None else self._looked[1], procedure or self.procedure
@@ -260,13 +262,13 @@ class Core(Generic[S]):
 
 
 def _alike(a: Any, b: Any) -> bool:
-    """Whether two scenes show the same."""
+    """Whether two scenes have the same arrays."""
     names = [name for name in ("ego", "others", "obstacles") if hasattr(a, name)]
     return type(a) is type(b) and all(np.array_equal(getattr(a, name), getattr(b, name)) for name in names)
 
 
 def read(reader: Reader, stopping: float = np.nan) -> Any:
-    """The scene now, or `Unreadable`."""
+    """The present scene, or `Unreadable`."""
     try:
         return reader.read()
     except SceneError as error:

@@ -1,9 +1,9 @@
-"""What becomes of an input: how long it is held, and how the fail-safe brakes after it.
+"""Execution of an input: the duration for which it is held, and the braking of the fail-safe after it.
 
-An input is acceleration [m/s^2] and front wheel angle [rad]. Behind `ShieldedEnv` the shield acts at every frame.
-Behind `Shield` an input is held for the whole decision period, and so is each step of the fail-safe, which may use no
-more than the actuators' own ranges. Without a throttle the ego cannot stop then, and the certificate reaches only as
-far as `ShieldConfig.horizon`.
+An input is acceleration [m/s^2] and front wheel angle [rad]. In `ShieldedEnv` the shield acts at every frame. In
+`Shield` an input is held for the whole decision period. Each step of the fail-safe is held as long, within the
+actuators' own ranges. Without a throttle the ego cannot stop then, and the certificate covers `ShieldConfig.horizon`
+only.
 """
 
 from __future__ import annotations
@@ -25,28 +25,29 @@ __all__ = ["EveryDecision", "EveryFrame", "Execution"]
 
 
 class Execution(Protocol):
-    """How inputs are carried out.
+    """Execution of inputs.
 
     Attributes
     ----------
-    config : the shield's settings, `braking` as far as this goes. frames : for which an input is held.
+    config : the shield's settings, with the braking that is available. frames : number of frames for which an input is
+        held.
     """
 
     config: ShieldConfig
     frames: int
 
     def exact(self, inputs: FloatArray) -> FloatArray:
-        """What the environment makes of inputs (n, 2)."""
+        """Inputs (n, 2) as the environment will apply them."""
 
     def stops(self, scene: Scene, began: FloatArray, fails: Any) -> FloatArray:
-        """Paths (n, h, 4) and the fail-safes after them, in lanes `fails` (n k,): (n k, h + frames, 4)."""
+        """Paths (n, h, 4), each followed by its fail-safes in lanes `fails` (n k,): (n k, h + frames, 4)."""
 
     def law(self, scene: Scene, lane: int) -> FloatArray:
         """Inputs of the fail-safe's next step (2,): brake, and steer to the lane's centre."""
 
 
 class EveryFrame:
-    """The shield acts at every frame, with the throttle, the brake and the wheel.
+    """The shield acts at every frame, with throttle, brake and wheel.
 
     Parameters
     ----------
@@ -59,18 +60,18 @@ class EveryFrame:
         self.config = config
 
     def exact(self, inputs: FloatArray) -> FloatArray:
-        """The inputs."""
+        """The inputs unchanged."""
         return inputs
 
     def stops(self, scene: Scene, began: FloatArray, fails: Any) -> FloatArray:
-        """Braking at `config.braking`."""
+        """Stops at `config.braking`."""
         top = max(float(began[:, -1, RoadState.SPEED].max()), 0.0)
         frames = int(np.ceil(top / (self.config.braking * scene.dt))) + 1
         rollouts = Rollouts(scene.dt, scene.road)
         return rollouts.stop(began, scene.road.centers[fails], self.config.braking, frames)
 
     def law(self, scene: Scene, lane: int) -> FloatArray:
-        """Braking at `config.braking`, or as hard as it takes to stand."""
+        """Braking at `config.braking`, or less if that suffices to stop."""
         return _brake(scene, lane, self.config.braking, scene.dt)
 
 
@@ -79,8 +80,8 @@ class EveryDecision:
 
     Parameters
     ----------
-    config : settings; `braking` is cut down to what the throttle offers.
-    actuators : what the policy controls.
+    config : settings; `braking` is limited to the range of the throttle.
+    actuators : the policy's actuators.
     hold : simulation frames in a decision period.
     """
 
@@ -92,11 +93,11 @@ class EveryDecision:
         self._wheel = min(abs(x) for x in actuators.steering) if actuators.lateral else 0.0
 
     def exact(self, inputs: FloatArray) -> FloatArray:
-        """What the environment will make of the action, rounding included."""
+        """The inputs that result from the normalised actions, rounding included."""
         return self._actuators.physical(self._actuators.normalised(inputs))
 
     def stops(self, scene: Scene, began: FloatArray, fails: Any) -> FloatArray:
-        """Braking in steps of a decision period, to a stop or as far as the horizon."""
+        """Braking in steps of a decision period, to a stop or up to the horizon."""
         period, braking = self.frames * scene.dt, self.config.braking
         if self._can_stop:
             top = max(float(began[:, -1, RoadState.SPEED].max()), 0.0)
@@ -111,12 +112,13 @@ class EveryDecision:
         return np.concatenate([began, held.run(began[:, -1], stops, periods)], axis=1)
 
     def law(self, scene: Scene, lane: int) -> FloatArray:
-        """As hard as the throttle brakes, the wheel within its range."""
+        """Braking within the range of the throttle, the wheel within its range."""
         brake, wheel = _brake(scene, lane, self.config.braking, self.frames * scene.dt)
         return np.array([brake if self._can_stop else 0.0, np.clip(wheel, -self._wheel, self._wheel)])
 
 
 def _brake(scene: Scene, lane: int, braking: float, period: float) -> FloatArray:
+    """Inputs that brake at most at `braking` [m/s^2], and stop the ego within `period` [s] if they can, (2,)."""
     wheel = steer(scene.road, scene.ego_road, scene.road.centers[lane], scene.dt)
     v = float(scene.ego[State.SPEED])
     return np.array([max(-braking, -v / period) if v >= 0 else min(-v / period, braking), wheel])

@@ -1,6 +1,8 @@
-"""Between two decisions: the committed target, frame by frame, held back where it does not verify.
+"""The pipeline between two decisions: the target command frame by frame, with an acceleration cap if it does not
+verify.
 
-A proposal is the target that the environment's controllers track. What is executed is that, or a `FrameCommand`.
+A proposal is the target command of the environment's controllers. The executed command is the same, or a
+`FrameCommand`.
 """
 
 from __future__ import annotations
@@ -37,21 +39,21 @@ __all__ = [
 
 
 ACCELERATIONS = 32
-"""Grid points between full braking and the committed acceleration, when a frame is held back."""
+"""Grid points between full braking and the target command's acceleration, for the acceleration cap."""
 LANE_PENALTY = 2.0
-"""What it costs to leave the committed lane, in acceleration [m/s^2]."""
+"""Cost of leaving the target lane, in acceleration [m/s^2]."""
 GREATEST = 5.0
-"""Greatest acceleration that is tried when a frame is held back [m/s^2]."""
+"""Greatest acceleration of a cap [m/s^2]."""
 CAPS = (-4.0, -2.0, 0.0, 5.0)
-"""Changes of speed to which a lane change may be held back, rounded down to the grid [m/s]."""
+"""Changes of speed to which the speed of a lane change may be capped, rounded down to the grid [m/s]."""
 _SHARES = (0.75, 0.5, 0.25, 0.0)
-"""How wide bounds on the others are taken to be where nothing clears them, as shares of their width."""
+"""Widths of the others' bounds that are tried if no candidate is clear of the full bounds, as shares."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameCommand:
-    """What the actuators get for one frame: the lane to steer to and an acceleration [m/s^2]. Where a front wheel angle
-    [rad] is given, it takes the place of the steering."""
+    """Command for one frame: the lane to steer to and an acceleration [m/s^2]. A front wheel angle [rad] replaces the
+    lane controller's steering."""
 
     lane: int
     acceleration: float
@@ -59,29 +61,29 @@ class FrameCommand:
 
 
 class Repair(Protocol):
-    """What takes the place of a committed target that does not verify at this frame."""
+    """Replacement of a target command that does not verify at this frame."""
 
     def plans(self, now: Instant, target: Target) -> Iterator[Plan[int]]:
-        """In order."""
+        """Plans in order."""
 
 
 class HoldBack:
-    """The least intervention for one frame: the greatest acceleration that verifies, committed lane first.
+    """Acceleration cap for one frame: the greatest acceleration that verifies, the target lane first.
 
     Parameters
     ----------
-    begins : whether it is tried by a decision, of which only the action is executed. What verifies then has to be among
-        what the frame tries, when the lane in which that plan stops has taken the stored one's place.
+    begins : whether a decision uses it, of which only the action is executed. Then it is restricted to the plans that
+        the next frame will try, after their stop lane has replaced the stored one.
     """
 
     def __init__(self, begins: bool = False) -> None:
         self._begins = begins
 
     def plans(self, now: Instant, target: Target) -> Iterator[Plan[int]]:
-        """One plan, the least bad where none verifies."""
+        """One plan; the least bad if none verifies."""
         scene, lanes = now.scene, fail_lanes(now, target.lane)
         v, grid = float(scene.ego[State.SPEED]), _accelerations(now, target)
-        # Each steering is tried with each fail-safe lane.
+        # Each target lane is combined with each lane of the fail-safe.
         steer = np.repeat(lanes, grid.size)
         fails = np.repeat(lanes, steer.size)
         steer = np.resize(steer, fails.size)
@@ -106,23 +108,23 @@ class Frames:
     Parameters
     ----------
     config : settings.
-    repair : what is tried where the target does not verify; `HoldBack` by default.
+    repair : replacement of a target command that does not verify; `HoldBack` by default.
     """
 
     def __init__(self, config: ShieldConfig, repair: Repair | None = None) -> None:
         self.config, self._repair = config, repair if repair is not None else HoldBack()
 
     def refuses(self, scene: Scene, proposal: Target) -> Reason | None:
-        """A scene that is not finite."""
+        """Reason if the scene is not finite; else None."""
         return None if scene.finite else Reason.BAD_SCENE
 
     def observe(self, memory: Memory[int], scene: Scene) -> tuple[Instant, Memory[int]]:
-        """Take in a scene."""
+        """Observe a scene: monitor, and reachable places of the others."""
         now = observe(memory, scene, self.config)
         return now, now.memory
 
     def plans(self, now: Instant, proposal: Target) -> Iterator[Tried[int]]:
-        """The target for one more frame, and then what takes its place."""
+        """The target command for one more frame, and then its replacements."""
         fails = fail_lanes(now, proposal.lane)
         lanes, speeds = [proposal.lane] * len(fails), [proposal.speed] * len(fails)
         paths, result = now.judge(brake_candidates(now.scene, lanes, speeds, fails, 1, self.config.braking))
@@ -133,8 +135,8 @@ class Frames:
             yield Tried(Tier.GOVERNED, Reason.UNVERIFIED, each)
 
     def fall_back(self, now: Instant, proposal: Target, tried: list[Tried[int]]) -> Tried[int]:
-        """The stored plan is kept as long as it clears those who have broken no rule; among what clears them, what
-        clears the others longest is taken."""
+        """The stored plan, as long as it is clear of the compliant vehicles. After a violation, the plan that stays
+        clear of the violators longest among those that are clear of the compliant vehicles."""
         violated, reason = now.memory.watch.violated, Reason.NO_SAFE_PLAN
         kept = None if now.memory.stored is None else now.fail_safe(lawful=True)
         if kept is not None and (kept.margin >= -ROUNDING or not violated):
@@ -149,24 +151,24 @@ class Frames:
             stored = Plan(command, kept.margin, kept.lane, kept.path, kept.binding, entered=entered)
             return Tried(Tier.STORED_PLAN, reason, stored)
         if now.scene.likely is not None:
-            # Through noise it is the bounds that nothing clears, and not yet the others.
+            # With noise no candidate is clear of the bounds, but one may still be clear of the vehicles.
             return Tried(Tier.LARGEST_MARGIN, reason, _likeliest(now, proposal))
         return Tried(Tier.LARGEST_MARGIN, reason, _evade(now, proposal)[0])
 
     def last_resort(self, memory: Memory[int], scene: Scene | Unreadable, proposal: Target) -> tuple[Tier, Plan[int]]:
-        """Brake in the stored lane; without one, in the target's."""
+        """Brake in the stored lane, or in the target lane without one."""
         lane = proposal.lane if memory.stored is None else memory.stored
         command = FrameCommand(lane, -self.config.braking)
         return Tier.EMERGENCY, Plan(command, stored=memory.stored, entered=memory.entered)
 
 
 def _evade(now: Instant, target: Target) -> tuple[Plan[int], float]:
-    """What clears everybody longest among what clears those who have broken no rule; and its margin from the latter
-    [m], negative where nothing does.
+    """The candidate that stays clear longest among those that are clear of the compliant vehicles, and its margin from
+    these [m]. The margin is negative if there is no such candidate.
 
-    From one who has broken a rule the worst case may be that nothing helps: longest is as long as is expected, with
-    everybody at constant speed, and of what is expected to stay clear as long, what does so in the worst case. Who
-    brakes before the ego is not expected to go on braking: it is the worst case that says so.
+    In the worst case, no candidate may be clear of a violator. So the first criterion is the expected time, with every
+    vehicle at constant velocity. The second is the time in the worst case. A vehicle that brakes ahead is not expected
+    to brake further; the worst case covers that.
     """
     candidates, accelerations = _evasions(now, target)
     paths, result = now.judge(candidates)
@@ -181,8 +183,8 @@ def _evade(now: Instant, target: Target) -> tuple[Plan[int], float]:
 
 
 def _likeliest(now: Instant, target: Target) -> Plan[int]:
-    """What clears everybody longest among what clears bounds on them that are as wide as anything clears; in the ego's
-    own lane, and only where nothing does there, in others."""
+    """The candidate that stays clear longest, among those that are clear of the widest bounds of which any candidate is
+    clear. Candidates in the ego's own lane take precedence over the others."""
     candidates, accelerations = _evasions(now, target)
     paths, result = now.judge(candidates)
     own = candidates.lanes == now.here
@@ -201,23 +203,25 @@ def _likeliest(now: Instant, target: Target) -> Plan[int]:
 
 
 def _least_bad_of(result: Clearance, some: BoolArray) -> int:
-    """`least_bad` of some of the candidates, (n,) bool."""
+    """`least_bad` of some candidates, selected by `some` (n,)."""
     which = np.flatnonzero(some)
     return int(which[least_bad(_rows(result, which))])
 
 
 def _rows(result: Clearance, which: IntArray) -> Clearance:
+    """The clearances of some candidates, by index."""
     return Clearance(result.margin[which], result.clear[which])
 
 
 def _plan(candidates: Brakes, accelerations: FloatArray, paths: FloatArray, result: Clearance, i: int) -> Plan[int]:
-    """One of the candidates."""
+    """The plan of candidate i."""
     command = FrameCommand(int(candidates.lanes[i]), float(accelerations[i]))
     return Plan(command, float(result.margin[i]), int(candidates.fails[i]), paths[i], result.binding(i))
 
 
 def _evasions(now: Instant, target: Target) -> tuple[Brakes, FloatArray]:
-    """Accelerations in the ego's lane and its neighbours, each of which stops where it steers to."""
+    """Candidates with each acceleration, in the ego's lane and its neighbours; each stops in the lane that it steers
+    to."""
     scene, here, grid = now.scene, now.here, _accelerations(now, target)
     lanes = [lane for lane in (here, here - 1, here + 1) if 0 <= lane < scene.road.centers.size]
     if now.memory.stored is not None and now.memory.stored not in lanes:
@@ -228,20 +232,21 @@ def _evasions(now: Instant, target: Target) -> tuple[Brakes, FloatArray]:
 
 
 def _accelerations(now: Instant, target: Target) -> FloatArray:
+    """Grid from full braking to the acceleration of the target command, (n,) [m/s^2]."""
     wish, braking = KP_SPEED * (target.speed - float(now.scene.ego[State.SPEED])), now.config.braking
     return np.linspace(-braking, max(min(wish, GREATEST), -braking), ACCELERATIONS)
 
 
 def held_back_speeds(now: Instant, target: Target) -> set[float]:
-    """Speeds to which `HoldBack` may hold a target back, one for each of `CAPS` [m/s]: what verifies with one of them
-    verifies at the first frame too."""
+    """Speeds to which `HoldBack` may cap a target command, one for each of `CAPS` [m/s]. A plan that verifies with one
+    of them verifies at the first frame too."""
     grid = _accelerations(now, target)
     places = np.searchsorted(grid, KP_SPEED * np.array(CAPS), side="right") - 1
     return {float(now.scene.ego[State.SPEED]) + a / KP_SPEED for a in grid[np.maximum(places, 0)].tolist()}
 
 
 def fail_lanes(now: Instant, lane: int) -> list[int]:
-    """Lanes in which the fail-safe may stop: the committed one, the one that the ego is in, and the stored one."""
+    """Lanes in which the fail-safe may stop: the target lane, the ego's own, and the stored one."""
     here, stored = now.here, now.memory.stored
     if stored is None or abs(stored - here) > 1:
         stored = here
@@ -249,7 +254,7 @@ def fail_lanes(now: Instant, lane: int) -> list[int]:
 
 
 def first_verified(margins: FloatArray) -> int:
-    """The first that verifies, in order of preference; the largest margin if none does."""
+    """Index of the first margin that verifies, in order of preference; of the largest margin if none does."""
     for i, margin in enumerate(margins.tolist()):
         if margin >= 0:
             return i

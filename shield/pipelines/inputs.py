@@ -1,10 +1,11 @@
-"""The procedure for throttle and steering: the nearest input that verifies.
+"""The pipeline for throttle and steering: the nearest input that verifies.
 
-An input (a, delta) is verified for as long as it is held: after it, the fail-safe (brake to a stop in a lane, steered
-by highway-env's own lane controller) must stay clear of every place where the others can be, the ego's body must stay
-on the road, and the ego must not roll backwards. A proposal that does not verify is replaced by the nearest input that
-does (`shield.alternatives.nearest_input`); where the search finds none, by the first input of the predictive filter's
-plan (`mpc.filter.predictive_filter`), which is verified like any other.
+An input (a, delta) is verified for as long as it is held, together with the fail-safe after it: braking to a stop in a
+lane, steered by highway-env's lane controller. The path must stay clear of every place that the others can reach, the
+ego's body must stay on the road, and the ego must not roll backwards.
+
+A proposal that does not verify is replaced by the nearest input that does (`shield.alternatives.nearest_input`). If the
+search finds none, the first input of the predictive filter's plan is verified (`mpc.filter.predictive_filter`).
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from shield.pipelines.execution import EveryDecision, EveryFrame, Execution
 __all__ = ["Inputs"]
 
 _EVASIONS = 9
-"""Accelerations that are tried for each lane where somebody has broken a rule."""
+"""Number of accelerations tried for each lane after a violation."""
 
 
 class Inputs:
@@ -42,17 +43,17 @@ class Inputs:
     Parameters
     ----------
     config : settings.
-    actuators : what the policy controls.
-    hold : where the shield acts through the actions only, the simulation frames for which each is held. Without it, the
-        shield acts at every frame, and may use throttle, brake (`config.braking`) and wheel in any case.
-    predictive : whether the predictive filter takes part in the repair.
-    model : what the predictive filter plans with; the bicycle by default. Its plans are verified on the bicycle.
-    norm : what the nearest input is nearest in, one of `shield.config.NORMS`; `config.norm` by default.
+    actuators : the policy's actuators.
+    hold : simulation frames for which each action is held, if the shield acts through the actions only. Without it, the
+        shield acts at every frame, with throttle, brake (`config.braking`) and wheel, whatever the actuators are.
+    predictive : whether the predictive filter is part of the repair.
+    model : model of the predictive filter; the bicycle by default. Its plans are verified with the bicycle.
+    norm : distance of the nearest input, one of `shield.config.NORMS`; `config.norm` by default.
 
     Raises
     ------
     ConfigError
-        If the mode is one of the rules for meta-actions.
+        If the mode is a rule for meta-actions.
     """
 
     def __init__(
@@ -78,7 +79,7 @@ class Inputs:
             self.predictor = Predictor(self.config, self.actuators, self.execution.frames, model)
 
     def prepare(self, scene: Scene) -> None:
-        """Compute what depends on the road alone, so that no frame has to wait for it."""
+        """Compute the road-dependent tables before the first frame needs them."""
         if scene.finite:
             now, _ = self.observe(Memory(), scene)
             self.judge(now, np.zeros((1, 2)), self.stop_lanes(now)[:1])
@@ -86,18 +87,18 @@ class Inputs:
                 self.predictor.prepare(scene)
 
     def refuses(self, scene: Scene, proposal: FloatArray | None) -> Reason | None:
-        """A proposal that is no input, or a scene that is not finite."""
+        """Reason if the proposal is invalid or the scene is not finite; else None."""
         if proposal is None:
             return Reason.BAD_ACTION
         return None if scene.finite else Reason.BAD_SCENE
 
     def observe(self, memory: Memory[int], scene: Scene) -> tuple[Instant, Memory[int]]:
-        """Take in a scene."""
+        """Observe a scene: monitor, and reachable places of the others."""
         now = observe(memory, scene, self.config, self.execution.frames)
         return now, now.memory
 
     def plans(self, now: Instant, proposal: FloatArray) -> Iterator[Tried[int]]:
-        """The proposal, and then what takes its place."""
+        """The proposal, and then its replacements."""
         first, *others = self.stop_lanes(now)
         judged = self.judge(now, proposal[None], [first])
         if not judged.margin[0] >= 0 and others:
@@ -107,11 +108,11 @@ class Inputs:
             yield Tried(Tier.GOVERNED, Reason.UNVERIFIED, plan)
 
     def repairs(self, now: Instant, proposal: FloatArray, first: Judged) -> Iterator[Plan[int]]:
-        """The nearest input, the least bad where none verifies; and then that of the predictive filter.
+        """The nearest input, or the least bad one; and then that of the predictive filter.
 
         Parameters
         ----------
-        first : the proposal, judged.
+        first : the judged proposal.
         """
         lane = self._stop_lane(now)
         floor = np.array([self._floor(now.scene), -np.inf])
@@ -133,8 +134,8 @@ class Inputs:
                 yield replace(self.plan(now, found), predicted=planned)
 
     def fall_back(self, now: Instant, proposal: FloatArray, tried: list[Tried[int]]) -> Tried[int]:
-        """The stored plan is kept as long as it clears those who have broken no rule; among what clears them, what
-        clears the others longest is taken."""
+        """The stored plan, as long as it is clear of the compliant vehicles. After a violation, the plan that stays
+        clear of the violators longest among those that are clear of the compliant vehicles."""
         violated, reason, lane = now.memory.watch.violated, Reason.NO_SAFE_PLAN, now.memory.stored
         if lane is not None:
             law = self.execution.law(now.scene, lane)[None]
@@ -148,23 +149,23 @@ class Inputs:
                 reason = Reason.PRECAUTION
             if keeps or not violated:
                 return Tried(Tier.STORED_PLAN, reason, replace(self.plan(now, stored), action=law[0]))
-        # The first of the repairs: the least bad that the search has found.
+        # The first of the repairs: the least bad input of the search.
         return Tried(Tier.LARGEST_MARGIN, reason, tried[1].plan)
 
     def last_resort(
         self, memory: Memory[int], scene: Scene | Unreadable, proposal: FloatArray | None
     ) -> tuple[Tier, Plan[int]]:
-        """Brake in the stored lane where there is one; with the wheel straight where nothing can be seen."""
+        """Brake in the stored lane if there is one; with the wheel straight without a readable scene."""
         inputs = np.array([-self.config.braking, 0.0])
         if isinstance(scene, Unreadable):
-            # NaN, where the speed is not known, is braking at full.
+            # NaN (unknown speed) gives full braking.
             inputs[0] = np.fmin(np.fmax(inputs[0], scene.stopping), self.config.braking)
         elif np.isfinite(scene.ego).all():
             here = scene.road.lane_at(float(scene.ego_road[RoadState.R]))
             inputs = self.execution.law(scene, here if memory.stored is None else memory.stored)
         return Tier.EMERGENCY, Plan(inputs, stored=memory.stored, entered=memory.entered)
 
-    # -- pieces ------------------------------------------------------------------------------------------
+    # -- parts -------------------------------------------------------------------------------------------
 
     def judge(
         self,
@@ -174,10 +175,12 @@ class Inputs:
         parts: bool = False,
         survey: Surveyor | None = None,
     ) -> Judged:
-        """Each input (n, 2) and then the fail-safe, in the first of the lanes `stops` where that verifies.
+        """Margins of inputs (n, 2), each followed by the fail-safe in the first lane of `stops` that verifies.
 
-        With `parts`, for which there must be one lane only, what their margins are made of comes along. `survey` is who
-        judges, everybody being looked at by default.
+        Parameters
+        ----------
+        parts : whether to return the components of the margins too; requires a single lane in `stops`.
+        survey : verifier; by default against all vehicles.
         """
         scene, frames = now.scene, self.execution.frames
         inputs = self.execution.exact(inputs)
@@ -199,7 +202,7 @@ class Inputs:
 
         if f == 1:
             return Judged(inputs, margin, clear, fails, paths, of, bind)
-        # The first lane that verifies, in order; else the best.
+        # The first lane that verifies, in order; otherwise the best one.
         each = margin.reshape(n, f)
         good = each >= 0
         pick = np.where(good.any(axis=1), good.argmax(axis=1), np.nan_to_num(each, nan=-np.inf).argmax(axis=1))
@@ -207,7 +210,7 @@ class Inputs:
         return Judged(inputs, margin[rows], clear[rows], fails[rows], paths[rows], bind=lambda i: bind(int(rows[i])))
 
     def plan(self, now: Instant, judged: Judged) -> Plan[int]:
-        """The plan of an input that has been judged."""
+        """The plan of the first judged input."""
         path, occupancy = np.vstack([now.scene.ego_road, judged.paths[0]]), None
         if self.config.record:
             occupancy = now.survey.around.occupancy(len(judged.paths[0])).rectangles()
@@ -223,8 +226,8 @@ class Inputs:
         return list(dict.fromkeys(i for i in near if 0 <= i < now.scene.road.centers.size))
 
     def _evade(self, now: Instant) -> Judged | None:
-        """What is expected to clear everybody longest among what clears those who have broken no rule, see
-        `shield.pipelines.frames`; None where nothing does."""
+        """The input that is expected to stay clear longest, among those that are clear of the compliant vehicles; None
+        without any. See `shield.pipelines.frames`."""
         lanes, braking = self.stop_lanes(now), self.config.braking
         accelerations = np.linspace(-braking, self.actuators.acceleration[1], _EVASIONS)
         wheels = [float(self.execution.law(now.scene, lane)[1]) for lane in lanes]
@@ -241,15 +244,15 @@ class Inputs:
         return self.judge(now, inputs[i : i + 1], [int(lawful.lanes[i])])
 
     def _stop_lane(self, now: Instant) -> int:
-        """The lane in which the fail-safe of the frame before would stop, however far; the ego's own without one."""
+        """The stop lane of the previous fail-safe, however far; the ego's own lane without one."""
         return now.here if now.memory.stored is None else int(now.memory.stored)
 
     def _floor(self, scene: Scene) -> float:
-        """The acceleration that just stops the ego before the next scene [m/s^2]."""
+        """Acceleration that stops the ego by the next scene [m/s^2]."""
         return -max(float(scene.ego[State.SPEED]), 0.0) / (self.execution.frames * scene.dt)
 
     def _spans(self, scene: Scene) -> FloatArray:
-        """Changes of throttle and steering that count alike, (2,) [m/s^2, rad]."""
+        """Changes of throttle and steering of equal weight, (2,) [m/s^2, rad]."""
         along, across = float(np.ptp(self.actuators.acceleration)), float(np.ptp(self.actuators.steering))
         if self.norm == "acceleration":
             v, along = max(float(scene.ego[State.SPEED]), 1.0), along or self.config.braking

@@ -1,8 +1,8 @@
-"""The procedure for meta-actions only: what `Shield.predict` runs, once per decision.
+"""The pipeline for meta-actions only: one call of `Shield.predict` per decision, without supervised frames.
 
-Without a brake of its own, the fail-safe is a sequence of meta-actions: each action, a lane change among them, and
-then SLOWER to the end. Where the ego's slowest target speed is above zero it cannot stop, and a
-sequence is verified over `ShieldConfig.horizon` only: that is what its certificate says, and no more.
+The shield has no brake of its own, so the fail-safe is a sequence of meta-actions: any action, a lane change included,
+and then SLOWER to the end. An ego with a slowest target speed above zero cannot stop. Then the certificate covers
+`ShieldConfig.horizon` only.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from shield.pipelines.screen import Screen, Wish, slower
 __all__ = ["MetaActionsOnly"]
 
 Sequel = tuple[int, ...]
-"""Actions that are left of a sequence."""
+"""Remaining actions of a sequence."""
 
 
 class MetaActionsOnly:
-    """Decides about meta-actions whose frames nobody supervises.
+    """Decides about meta-actions whose frames are not supervised.
 
     Parameters
     ----------
@@ -42,15 +42,15 @@ class MetaActionsOnly:
         self.screen = Screen(self.config)
 
     def refuses(self, scene: Scene, proposal: Wish) -> Reason | None:
-        """A proposal that is no action, or a scene that is not finite."""
+        """Reason if the proposal is invalid or the scene is not finite; else None."""
         return self.screen.refuses(scene, proposal)
 
     def observe(self, memory: Memory[Sequel], scene: Scene) -> tuple[Instant, Memory[Sequel]]:
-        """Take in a scene."""
+        """Observe a scene: monitor, and reachable places of the others."""
         rollouts = Rollouts(scene.dt, scene.road)
 
         def fail_safe(survey: Surveyor) -> FloatArray:
-            # The ego has no brake: what counts is the room for the slowest that its actions allow.
+            # Without a brake, the fail-safe is the slowest sequence of actions.
             candidates, _ = meta_candidates(scene, [slower(scene.control.actions)], self.config.horizon)
             paths = candidates.paths(rollouts, scene.ego_road)
             return survey.of_each(survey.clearance(paths, candidates.lanes, candidates.fails))
@@ -59,7 +59,7 @@ class MetaActionsOnly:
         return now, now.memory
 
     def plans(self, now: Instant, proposal: Wish) -> Iterator[Tried[Sequel]]:
-        """The proposal, and then the others in order."""
+        """The proposal, and then the alternatives in order."""
         scene = now.scene
         target = scene.target_of(proposal.action)
         if self.screen.buffer.objects(scene, target):
@@ -71,13 +71,13 @@ class MetaActionsOnly:
             yield Tried(Tier.ALTERNATIVE, reason, plan)
 
     def fall_back(self, now: Instant, proposal: Wish, tried: list[Tried[Sequel]]) -> Tried[Sequel]:
-        """The stored sequence, unless somebody has broken a rule; else what stays clear longest, then has the largest
-        margin, then is slowest."""
+        """The stored sequence, unless there is a violation. Else the plan that stays clear longest, then with the
+        largest margin, then the slowest."""
         reason, scene = Reason.NO_SAFE_PLAN, now.scene
         if (now.memory.stored and not now.memory.watch.violated) or not tried:
             tier, plan = self.last_resort(now.memory, scene, proposal)
             return Tried(tier, reason, plan)
-        # The proposal comes last: the first of equals is taken.
+        # The proposal comes last, because `max` takes the first of equal plans.
         plans = sorted((each.plan for each in tried), key=lambda plan: plan.action == proposal.action)
         plan = max(plans, key=lambda x: (x.clear, x.margin, -scene.target_of(x.action).speed))
         return Tried(Tier.LARGEST_MARGIN, reason, plan)
@@ -85,12 +85,13 @@ class MetaActionsOnly:
     def last_resort(
         self, memory: Memory[Sequel], scene: Scene | Unreadable, proposal: Wish
     ) -> tuple[Tier, Plan[Sequel]]:
-        """Play the stored sequence on, or slow down."""
+        """The next action of the stored sequence, or SLOWER."""
         if memory.stored:
             return Tier.STORED_PLAN, Plan(memory.stored[0], stored=memory.stored[1:])
         return Tier.EMERGENCY, Plan(slower(proposal.labels), stored=memory.stored)
 
     def _others(self, scene: Scene, proposal: Wish) -> list[int]:
+        """The alternatives in order of preference, without those that the buffer rule refuses."""
         targets = [scene.target_of(a) for a in range(len(scene.control.actions))]
         wanted = resolve(proposal.order)
         if wanted is None:
@@ -104,7 +105,7 @@ class MetaActionsOnly:
         ]
 
     def _judge(self, now: Instant, actions: Sequence[int]) -> list[Plan[Sequel]]:
-        """For each first action its one sequence."""
+        """The plan of each first action: that action and its sequence."""
         if not actions:
             return []
         scene = now.scene

@@ -1,4 +1,4 @@
-"""A frame of a meta-action mended by the inputs nearest to those of the environment's own controllers."""
+"""Repair of a frame of a meta-action: the verified inputs nearest to those of the environment's own controllers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["NearestInputs"]
 
 
 class NearestInputs:
-    """A `Repair` of `Frames`. What is near is told by acceleration: in shares of the ranges, it would swerve.
+    """A `Repair` of `Frames`. Distance is measured in acceleration: in shares of the input ranges the ego would swerve.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class NearestInputs:
         self._inputs = Inputs(config, norm="acceleration")
 
     def plans(self, now: Instant, target: Target) -> Iterator[Plan[int]]:
-        """The nearest inputs, and then the predictive filter's."""
+        """The nearest inputs, and then those of the predictive filter."""
         scene = now.scene
         wheel = steering_control(scene.ego_road, scene.road.centers[target.lane])
         wanted = np.array([float(speed_control(scene.ego[State.SPEED], target.speed)), float(wheel)])

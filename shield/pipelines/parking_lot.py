@@ -1,12 +1,12 @@
-"""The procedure in a parking lot: nothing moves there but the ego, and distances are small.
+"""The pipeline in a parking lot: only the ego moves, and distances are small.
 
-An input (a, delta) is verified for the frames for which it is held: after it, the fail-safe (brake against the velocity
-to a stop, the wheel held) must keep the ego at `ShieldConfig.clearance` from every obstacle at every frame, and must
-never bring about what highway-env counts as a collision in the coming frame. A proposal that does not verify is
-replaced by the nearest input that does (`shield.alternatives.nearest_input`).
+An input (a, delta) is verified for the frames for which it is held, together with the fail-safe after it: braking to a
+stop with the wheel held. The path must keep `ShieldConfig.clearance` from every obstacle at every frame. It must never
+cause what highway-env counts as a collision in the coming frame. A proposal that does not verify is replaced by the
+nearest input that does (`shield.alternatives.nearest_input`).
 
-The assumption is that everything else stands still. It is looked at in every frame: once something moves, no
-certificate is claimed, the ego brakes, and the record says `Reason.BAD_SCENE`.
+The assumption is that everything else stands still, which is checked in every frame. Once an obstacle moves there is no
+certificate, the ego brakes, and the record has `Reason.BAD_SCENE`.
 """
 
 from __future__ import annotations
@@ -34,19 +34,18 @@ from shield.pipelines.decide import Plan, Tried, Unreadable
 __all__ = ["ParkingLot"]
 
 _ROUNDING = 1e-5
-"""What rounding may amount to until a stop, single precision of actions included [m]."""
+"""Bound on the rounding error up to a stop, single precision of actions included [m]."""
 _FAR = 0.3
-"""Distance from the proposal, in shares of the ranges, beyond which something nearer is looked for on a grid."""
+"""Distance from the proposal, in shares of the ranges, beyond which a grid is searched for a nearer input."""
 _GRID = np.stack(np.meshgrid(np.linspace(0, 1, 11), np.linspace(0, 1, 13)), axis=-1).reshape(-1, 2)
-"""Shares of the ranges of throttle and steering that are tried where the search has found nothing near; 0 of the
-throttle stands for the brake."""
+"""Shares of the ranges of throttle and steering in that grid; 0 of the throttle stands for the brake."""
 _NO_LANE = [0]
-"""The search names the lane that is stopped in; here there is none."""
+"""The search requires a stop lane; there is none in a parking lot."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Now:
-    """A lot as it is seen with a memory."""
+    """A parking lot together with the memory."""
 
     lot: Lot
     memory: Memory[float]
@@ -57,15 +56,15 @@ class ParkingLot:
 
     Parameters
     ----------
-    config : settings; `braking`, `clearance` and `mode` count here.
-    actuators : what the policy controls.
-    period : where the shield acts through the actions only, the simulation frames for which each is held. Without it,
-        the shield acts at every frame, and may use the brake (`config.braking`) and the wheel in any case.
+    config : settings; `braking`, `clearance` and `mode` apply here.
+    actuators : the policy's actuators.
+    period : simulation frames for which each action is held, if the shield acts through the actions only. Without it,
+        the shield acts at every frame, with the brake (`config.braking`) and the wheel, whatever the actuators are.
 
     Raises
     ------
     ConfigError
-        If the mode is one of the rules for meta-actions, or the actions cannot brake both ways.
+        If the mode is a rule for meta-actions, or the actions cannot brake both ways.
     """
 
     def __init__(self, config: ShieldConfig, actuators: Actuators | None = None, period: int | None = None) -> None:
@@ -87,21 +86,21 @@ class ParkingLot:
             self._braking = min(self._braking, brake)
 
     def refuses(self, scene: Lot, proposal: FloatArray | None) -> Reason | None:
-        """A proposal that is no input, or a lot that cannot be judged."""
+        """Reason if the proposal is invalid or the parking lot cannot be judged; else None."""
         if proposal is None:
             return Reason.BAD_ACTION
-        # Faster than MAX_SPEED, highway-env limits the throttle: its frames are others than those that are verified.
+        # Above MAX_SPEED highway-env limits the throttle, so its frames differ from the verified ones.
         good = scene.finite and abs(scene.ego[State.SPEED]) <= MAX_SPEED
         return None if good else Reason.BAD_SCENE
 
     def observe(self, memory: Memory[float], scene: Lot) -> tuple[_Now, Memory[float]]:
-        """Take in a lot."""
+        """Observe a parking lot: check that the obstacles stand still."""
         watch = memory.watch if isinstance(memory.watch, Stillness) else Stillness()
         memory = replace(memory, watch=watch.next(scene.moving))
         return _Now(scene, memory), memory
 
     def plans(self, view: _Now, proposal: FloatArray) -> Iterator[Tried[float]]:
-        """The proposal, and the input nearest to it; nothing where anything moves."""
+        """The proposal, and the input nearest to it; no plans once an obstacle moves."""
         if view.memory.watch.violated:
             return
         yield Tried(Tier.PASSED, Reason.NONE, self._plan(view.lot, self.judge(view.lot, proposal[None]), proposal))
@@ -109,12 +108,13 @@ class ParkingLot:
         yield Tried(Tier.GOVERNED, Reason.UNVERIFIED, self._plan(view.lot, nearest))
 
     def fall_back(self, view: _Now, proposal: FloatArray, tried: list[Tried[float]]) -> Tried[float]:
-        """The stored stop as long as it keeps clear; else the least bad. Where anything moves, the stored stop."""
+        """The stored stop as long as it keeps clear, else the least bad input. Once an obstacle moves, the last
+        resort."""
         if view.memory.watch.violated:
             tier, plan = self.last_resort(view.memory, view.lot, proposal)
             return Tried(tier, Reason.BAD_SCENE, replace(plan, stored=None))
         if view.memory.stored is not None:
-            # The end of what was verified a frame ago, of which rounding can have taken a trifle.
+            # The rest of the plan verified a frame ago, up to the rounding error.
             law = self._law(view, proposal)
             kept = self.judge(view.lot, law[None])
             if kept.margin[0] >= -_ROUNDING:
@@ -124,7 +124,7 @@ class ParkingLot:
     def last_resort(
         self, memory: Memory[float], scene: Lot | Unreadable, proposal: FloatArray | None
     ) -> tuple[Tier, Plan[float]]:
-        """The fail-safe's inputs: the wheel as it was stored, else straight."""
+        """Inputs of the fail-safe: the stored wheel angle, or 0 without one."""
         floor = 0.0
         if isinstance(scene, Unreadable):
             floor = float(np.nan_to_num(scene.stopping))
@@ -137,6 +137,7 @@ class ParkingLot:
     # -- repair ------------------------------------------------------------------------------------------
 
     def _law(self, view: _Now, proposal: FloatArray) -> FloatArray:
+        """Inputs of the fail-safe, (2,); without a stored wheel angle, with the proposal's."""
         _, plan = self.last_resort(view.memory, view.lot, proposal)
         law: FloatArray = plan.action.copy()
         if view.memory.stored is None:
@@ -144,19 +145,19 @@ class ParkingLot:
         return law
 
     def _nearest(self, view: _Now, proposal: FloatArray) -> Judged:
-        """The nearest input that was found; the least bad where none verifies."""
+        """The nearest input found; the least bad if none verifies."""
         lot, law = view.lot, self._law(view, proposal)
         limits = np.array([self.actuators.acceleration, self.actuators.steering]).T
         if self._agent and not self.actuators.lateral:
             limits[:, 1] = 0.0
         spans = np.ptp([self.actuators.acceleration, self.actuators.steering], axis=1)
-        # Beyond the actuators' range there is the brake, and that only as far as it stops the ego.
+        # Beyond the actuators' range the brake is available, up to a stop of the ego.
         low, high = np.minimum(np.minimum(limits[0], law), proposal), np.maximum(np.maximum(limits[1], law), proposal)
         search = Search(lambda inputs, lanes, parts: self.judge(lot, inputs), proposal, spans, low, high)
         judged = search.run(_NO_LANE, law)
         far = float(np.hypot(*((judged.inputs[0] - proposal) / spans))) if judged.margin[0] >= 0 else np.inf
         if far > _FAR:
-            # What verifies may lie neither near the proposal nor on the way to the brake: anywhere at all.
+            # Inputs that verify may lie neither near the proposal nor between it and the brake: search the whole range.
             tried = low + _GRID * (high - low)
             tried[_GRID[:, 0] == 0, 0] = law[0]
             grid = self.judge(lot, tried)
@@ -167,15 +168,17 @@ class ParkingLot:
 
     @staticmethod
     def _plan(lot: Lot, judged: Judged, action: FloatArray | None = None) -> Plan[float]:
+        """The plan of the first judged input."""
         path = np.vstack([lot.ego[:4], judged.paths[0]])
         inputs = judged.inputs[0]
         margin, clear = float(judged.margin[0]), int(judged.clear[0])
         return Plan(inputs if action is None else action, margin, float(inputs[1]), path, clear=clear)
 
     def judge(self, lot: Lot, inputs: FloatArray) -> Judged:
-        """Each input, held, and then the fail-safe; the parts of the margin are what each obstacle leaves of it."""
+        """Margins of inputs (n, 2), each held and followed by the fail-safe; the parts are the margins from each
+        obstacle."""
         if self._agent:
-            # What is verified is what the environment will make of the action, rounding included.
+            # Verify the inputs that result from the normalised actions, rounding included.
             inputs = self.actuators.physical(self.actuators.normalised(inputs))
         length, width = lot.ego[4:]
         period = self._frames

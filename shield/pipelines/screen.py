@@ -1,4 +1,4 @@
-"""What is done about a meta-action before anything is verified: refuse what is no good, and run the rules."""
+"""Checks of a meta-action before its verification: validity, and the rules."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class Wish:
 
     Attributes
     ----------
-    action : its index, -1 for what is none. labels : of the actions that there are, by index.
-    order : the alternatives in the policy's order of preference, or a function that gives it; None without one.
+    action : its index; -1 for an invalid one. labels : of the available actions, by index.
+    order : the alternatives in the policy's order of preference, or a function that returns it; None without one.
     """
 
     action: int
@@ -33,7 +33,7 @@ class Wish:
 
 
 class Screen:
-    """The stages in front of verification, for one configuration.
+    """The stages before verification, for one configuration.
 
     Attributes
     ----------
@@ -45,28 +45,28 @@ class Screen:
         self._explain: tuple[Rule, ...] = (RssRule(config), TtcRule(config.time_to_collision))
 
     def refuses(self, scene: Scene, proposal: Wish) -> Reason | None:
-        """A proposal that is no action, or a scene that is not finite."""
+        """Reason if the proposal is invalid or the scene is not finite; else None."""
         if not 0 <= proposal.action < len(proposal.labels):
             return Reason.BAD_ACTION
         return None if scene.finite else Reason.BAD_SCENE
 
     def why(self, scene: Scene, target: Target) -> Reason:
-        """The reason to record for a target that did not verify."""
+        """The reason to record for a target command that did not verify."""
         return next((r.reason for r in self._explain if r.objects(scene, target)), Reason.UNVERIFIED)
 
 
 class RuleAlone:
-    """One rule and nothing else: an action that it refuses is replaced by slowing down or, in the mode "ttc-ranking",
-    by the first action in the policy's order of preference that it accepts.
+    """One rule without verification. It replaces a refused action by SLOWER, or in the mode "ttc-ranking" by the first
+    accepted action in the policy's order of preference.
 
     Parameters
     ----------
     config : its `mode` names the rule.
-    rule : one of the user's own instead.
+    rule : a user's own rule in its place.
 
     Attributes
     ----------
-    rule : the one that decides.
+    rule : the rule that decides.
     """
 
     def __init__(self, config: ShieldConfig, rule: Rule | None = None) -> None:
@@ -74,11 +74,11 @@ class RuleAlone:
         self._screen, self.rule = Screen(config), rule if rule is not None else make_rule(config.mode, config)
 
     def refuses(self, scene: Scene, proposal: Wish) -> Reason | None:
-        """A proposal that is no action, or a scene that is not finite."""
+        """Reason if the proposal is invalid or the scene is not finite; else None."""
         return self._screen.refuses(scene, proposal)
 
     def observe(self, memory: Memory[Any], scene: Scene) -> tuple[Scene, Memory[Any]]:
-        """Nothing is remembered."""
+        """The scene itself, with the memory unchanged."""
         return scene, memory
 
     def plans(self, view: Scene, proposal: Wish) -> Iterator[Tried[Any]]:
@@ -89,7 +89,7 @@ class RuleAlone:
         yield Tried(tier, reason, Plan(executed, trusted=True))
 
     def _candidates(self, proposal: Wish) -> Iterator[int]:
-        """The proposal and, where the mode has it, the policy's other actions by falling preference."""
+        """The proposal and, in the mode "ttc-ranking", the policy's other actions in order of preference."""
         yield proposal.action
         if self.config.mode == "ttc-ranking":
             yield from (a for a in resolve(proposal.order) or () if 0 <= a < len(proposal.labels))
@@ -98,14 +98,14 @@ class RuleAlone:
         return self.rule.objects(view, view.target_of(action))
 
     def fall_back(self, view: Scene, proposal: Wish, tried: list[Tried[Any]]) -> Tried[Any]:
-        """Never asked: the rule has a word on everything."""
+        """Never called: `plans` always has a trusted plan."""
         return tried[-1]
 
     def last_resort(self, memory: Memory[Any], scene: Scene | Unreadable, proposal: Wish) -> tuple[Tier, Plan[Any]]:
-        """Slow down."""
+        """SLOWER."""
         return Tier.EMERGENCY, Plan(slower(proposal.labels))
 
 
 def slower(labels: Sequence[str]) -> int:
-    """Index of the action that slows down, or of IDLE where there is none."""
+    """Index of SLOWER, or of IDLE where there is no SLOWER."""
     return list(labels).index("SLOWER" if "SLOWER" in labels else "IDLE")

@@ -1,4 +1,4 @@
-"""The kernels compiled, or read from the disk, before a decision waits for them."""
+"""Compile the kernels, or load them from the disk, before the first decision."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["warm_up"]
 
 @cache
 def warm_up() -> None:
-    """Make some decisions in a small scene; says what it waits for where that takes long."""
+    """Make some decisions in a small scene, with a progress line if that takes long."""
     with announced("worst case on highways"):
         config = ShieldConfig()
         frames, meta = Frames(config), MetaActions(config)
@@ -37,17 +37,16 @@ def warm_up() -> None:
             decide(memory, scene, np.array([5.0, 0.3]), inputs)
             for rule in (RssRule(config), TtcRule(config.time_to_collision)):
                 rule.objects(scene, Target(2, 30.0))
-            # What the predictive filter asks.
+            # Kernels that the predictive filter calls.
             survey = inputs.observe(memory, scene)[0].survey
             survey.around.occupancy(2)
             survey.relevant(50.0)
-            # The next scene asks whom a stored stop counts on, whatever was decided here.
+            # With a stored stop, the next scene computes the followers that have to brake for it.
             memory = replace(memory, stored=1)
 
 
 def _scene(frame: int) -> Scene:
-    """A leader, one alongside that the ego passes, held up by another, and one behind whose body grows by a metre each
-    frame."""
+    """A leader, a vehicle alongside behind a slower one, and a follower whose body grows by a metre each frame."""
     dt = 1 / 15
     x, y, v = np.array([[24.0, 4.0, 15.0], [-1.0, 8.0, 13.0], [14.0, 8.0, 10.0], [-30.0, 4.0, 28.0]]).T
     others = np.zeros((4, 7))

@@ -1,1 +1,1 @@
-"""Doors for traffic that is simulated: what every action leads to follows from the state."""
+"""Filters in simulated traffic: the effect of every action follows from the state."""

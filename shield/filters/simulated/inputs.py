@@ -1,4 +1,4 @@
-"""The door for throttle and steering that are verified by simulation, frame by frame."""
+"""The filter for throttle and steering in simulated traffic, frame by frame."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ from shield.supported_environments import check
 __all__ = ["ExactInputDoor"]
 
 _HOLD = 1.0
-"""How long the law holds a lane and a speed before it may turn to others [s]."""
+"""Duration for which the lane-and-speed controllers keep a target command before the next one [s]."""
 
 
 class ExactInputDoor(Foretells, InputFrames):
-    """Filters throttle and steering where the traffic, of known classes, follows from its state.
+    """Filters throttle and steering where the traffic consists of known classes and follows from its state.
 
-    At every frame the proposal is simulated for that frame, and after it a law that keeps lanes and speeds, for
-    `ShieldConfig.horizon`. The law may brake as hard as `ShieldConfig.braking`.
+    At every frame the proposal is simulated for that frame. After it the lane-and-speed controllers track a sequence of
+    target commands, for `ShieldConfig.horizon`. They brake at most at `ShieldConfig.braking`.
 
     Parameters
     ----------
@@ -54,9 +54,9 @@ class ExactInputDoor(Foretells, InputFrames):
     Raises
     ------
     ConfigError
-        If the simulator cannot run the environment, or the settings are for another kind of verification.
+        If the simulator does not support the environment, or the settings are for another kind of verification.
     SceneError
-        If it has vehicles or lanes that are not known.
+        If it has unknown vehicles or lanes.
     """
 
     supervising = True
@@ -80,16 +80,17 @@ class ExactInputDoor(Foretells, InputFrames):
             self._scene.read()
 
     def _simulate(self, base: Any, like: Any) -> NetworkSimulator:
+        """Simulator with the limits of the lane-and-speed controllers."""
         law = self.config.braking, self.actuators.acceleration[1], _HOLD
         return simulate_network(base, like, law=law)
 
     def reset(self) -> None:
-        """Forget everything about the episode.
+        """Clear everything about the episode.
 
         Raises
         ------
         ConfigError
-            If the environment is now configured as the shield does not support.
+            If the environment's present configuration is not supported.
         """
         check_traffic(self._base)
         self._begin()
@@ -99,7 +100,8 @@ class ExactInputDoor(Foretells, InputFrames):
         self._tail: Tail = empty_tail(1)
 
     def _physical(self, action: Any, read: FloatArray) -> FloatArray:
-        """As highway-env itself computes them: in the precision of the action, which tells in the end."""
+        """Acceleration [m/s^2] and wheel angle [rad], (2,), from highway-env's own code: in the precision of the
+        action, since the simulation has to be exact."""
         given: dict[str, float] = {}
         kind = copy(self._base.action_type)
         kind.controlled_vehicle = SimpleNamespace(act=given.update)
@@ -114,14 +116,14 @@ class ExactInputDoor(Foretells, InputFrames):
             reason, self.cause = why_unread(error)
             return self._last_resort(reason, start)
         known, proposal, tail = self._proposal is not None, np.zeros(2), self._tail
-        # The present is advanced by the decision.
+        # The decision advances `present`.
         before, planned, length = copy_of(present.futures), tail.actions.copy(), int(tail.counts[0])
         if self._proposal is not None:
             proposal = self._cruise.proposal(self._proposal, float(self._base.vehicle.speed))
         code, margin = decide_inputs(search, present, self._tail, proposal, known, self._inputs)
         self._scene.expect(present.futures.f[0][STATE])
         tier = TIERS[code]
-        # A stored plan is one for this very scene: it is as was foretold.
+        # A stored plan is for this scene, which is as predicted.
         reason = Reason.NO_SAFE_PLAN if tier is Tier.LARGEST_MARGIN else Reason.UNVERIFIED
         if tier is Tier.PASSED:
             reason = Reason.NONE
@@ -140,7 +142,7 @@ class ExactInputDoor(Foretells, InputFrames):
         return inputs, Decision(inputs, inputs, reason, tier, margin, latency, plan, areas, source=source)
 
     def _last_resort(self, reason: Reason, start: float) -> tuple[FloatArray, Decision]:
-        """Nothing is known of the scene: what was planned, if anything was, or braking with the wheel straight."""
+        """Inputs without a readable scene: the stored plan, or braking with the wheel straight."""
         tier, present = Tier.EMERGENCY, self._present
         if present is not None and self._tail.counts.any():
             play(present, self._tail, self._inputs)
@@ -155,7 +157,7 @@ class ExactInputDoor(Foretells, InputFrames):
         return inputs, Decision(inputs, inputs, reason, tier, np.nan, perf_counter() - start)
 
     def _verifies(self, base: Any, room: Room) -> bool:
-        """Whether the law verifies in a scene; changes nothing that is remembered."""
+        """Whether the lane-and-speed controllers verify in a scene, without an input before them. Read-only."""
         simulator, search = room
         present = search._replace(futures=copy_of(simulator.worlds))
         search.futures.p[:], search.futures.routes[:] = present.futures.p, present.futures.routes
@@ -164,8 +166,8 @@ class ExactInputDoor(Foretells, InputFrames):
         return TIERS[code].verified
 
     def _law(self) -> tuple[int, int, float] | None:
-        """Whether the law has been at work in the last frame, and its lane and speed [m/s]; what it does next may go on
-        from there, also where an action has just ended."""
+        """Whether the lane-and-speed controllers acted in the last frame, their target lane and speed [m/s]; None
+        without a scene. They may continue from there, also after an action has ended."""
         if self._present is None:
             return None
         futures = self._present.futures
@@ -173,23 +175,26 @@ class ExactInputDoor(Foretells, InputFrames):
         return int(futures.g[0, LAW, ego]), int(futures.g[0, TARGET, ego]), float(futures.f[0, TARGET_SPEED, ego])
 
     def _read(self, begins: bool) -> tuple[Search, Search]:
-        """Room for searches, and the scene as it is. Between two frames of a decision that is what was foretold, where
-        all are where they should be: some have acted by then for the coming frame, so it is read only where it must."""
+        """Search buffers, and the present scene.
+
+        Between two frames of a decision the scene is the predicted one if all states are as predicted. It is read again
+        only at a mismatch, since some vehicles have already acted for the coming frame.
+        """
         search, present = self._search, self._present
         if begins or search is None or present is None or not self._scene.as_foretold():
             law, foretold = self._law(), self._scene.foretells
             simulator, search = self._scene.read()
             present = search._replace(futures=simulator.worlds)
             if self._scene.surprised or not foretold:
-                # What was planned was for another scene.
+                # The stored plan was for another scene.
                 self._tail.counts[:] = 0
             elif law is not None:
-                # highway-env knows nothing of what the law is about.
+                # highway-env has no state of these controllers: restore it.
                 f, g, ego = simulator.worlds.f[0], simulator.worlds.g[0], self._scene.ego(self._scene.bodies())
                 g[LAW, ego], g[TARGET, ego], f[TARGET_SPEED, ego] = law
             if len(self._tail.actions) != search.bounds.depth:
                 self._tail = empty_tail(search.bounds.depth)
             self._search, self._present = search, present
-            # What does not change is the same in all futures.
+            # Constant properties are the same in all futures.
             search.futures.p[:], search.futures.routes[:] = present.futures.p, present.futures.routes
         return search, present

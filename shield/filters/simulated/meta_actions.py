@@ -1,4 +1,4 @@
-"""The filter of meta-actions that are verified in simulated traffic, as `Assumptions.simulated_traffic()` has it."""
+"""The filter for meta-actions in simulated traffic."""
 
 from __future__ import annotations
 
@@ -51,9 +51,10 @@ __all__ = ["ExactDoor", "as_decision"]
 
 
 class ExactDoor(Foretells):
-    """Filters meta-actions where the traffic, of known classes, follows from its state: on straight highways, and on
-    the networks of merges, exits, roundabouts, two-way roads, u-turns and intersections (where nobody knows
-    who comes next).
+    """Filters meta-actions where the traffic consists of known classes and follows from its state.
+
+    It supports straight highways and the networks of merges, exits, roundabouts, two-way roads, u-turns and
+    intersections. (At an intersection it does not predict the vehicles that will spawn.)
 
     Parameters
     ----------
@@ -63,13 +64,13 @@ class ExactDoor(Foretells):
     Raises
     ------
     ConfigError
-        If the simulator cannot run the environment, it is a parking lot, or the settings are for another kind of
+        If the simulator does not support the environment, it is a parking lot, or the settings are for another kind of
         verification.
 
     Attributes
     ----------
-    on_network : whether the road is no straight highway.
-    cause : why the scene of the last decision could not be read, "" where it could.
+    on_network : whether the road is not a straight highway.
+    cause : why the scene of the last decision could not be read; "" if it could.
     """
 
     supervising = False
@@ -86,12 +87,12 @@ class ExactDoor(Foretells):
         self._search: Search | None = None
 
     def reset(self) -> None:
-        """Forget everything about the episode.
+        """Clear everything about the episode.
 
         Raises
         ------
         ConfigError
-            If the environment is now configured as the shield does not support.
+            If the environment's present configuration is not supported.
         """
         self._check()
         self._scene.forget()
@@ -99,12 +100,12 @@ class ExactDoor(Foretells):
         self._search = None
 
     def _check(self) -> None:
-        """Raise where the environment, as it is configured now, is none that can be simulated."""
+        """Raise unless the environment's present configuration can be simulated."""
         check_configuration(self._base, self.config)
         check_traffic(self._base)
 
     def decide(self, action: Any, order: Callable[[], list[int] | None] | None = None) -> Decision:
-        """Filter one meta-action; `order` gives the policy's order of preference over the others."""
+        """Filter one meta-action; `order` returns the policy's order of preference over the others."""
         start, proposed, self.cause = perf_counter(), action_index(action), ""
         shown = action if proposed < 0 else proposed
         reason: Reason | None = None
@@ -121,7 +122,7 @@ class ExactDoor(Foretells):
         source = None
         if not passes(search, self._plans, records, simulator.worlds, 0, proposed):
             source = self._kept(search, simulator, proposed)
-            # The policy is asked for its order only where something takes the proposal's place.
+            # The policy's order is computed only if another action may replace the proposal.
             wanted = resolve(order) or []
             ranked = np.array([*(a for a in wanted if a != proposed), -1], np.intp)
             replace(search, self._plans, records, 0, proposed, ranked)
@@ -133,13 +134,13 @@ class ExactDoor(Foretells):
         return as_decision(shown, records, start, plan, areas, source)
 
     def _kept(self, search: Search, simulator: Any, proposed: int) -> Simulated:
-        """What a refusal is made from, for whoever asks why."""
+        """Data for an explanation of a refusal."""
         return self._scene.kept(
             search, copy_of(simulator.worlds), proposed, self._plans.actions[0], self._plans.length[0]
         )
 
     def _verifies(self, base: Any, room: Room) -> bool:
-        """Whether any sequence of actions verifies in a scene; changes nothing that is remembered."""
+        """Whether any sequence of actions verifies in a scene. Read-only."""
         simulator, search = room
         plans, records = empty_plans(1, search.bounds.depth), empty_records(1, 1)
         if len(self._plans.actions[0]) == search.bounds.depth and self._plans.verified[0]:
@@ -150,7 +151,7 @@ class ExactDoor(Foretells):
         return bool(TIERS[records.tier[0]].verified)
 
     def mask(self) -> np.ndarray[Any, Any]:
-        """Which actions pass now; all True where none does. No decision, and no record, is another for being asked.
+        """Mask of actions that verify; all True if none does. Read-only: changes no memory, record or later decision.
 
         Raises
         ------
@@ -163,13 +164,13 @@ class ExactDoor(Foretells):
         twice, stored, length = not boxed_in(plans, 0), plans.actions[0], plans.length[0]
         mask = np.zeros(len(search.order), np.bool_)
         for k in actions:
-            # What is remembered of one would be a hint for the next, and `decide` has none.
+            # Clear the dead-end table: `decide` starts without entries of an earlier search.
             begin_anew(search)
             mask[k] = verify(search, k, stored, length, twice) >= 0
         return mask if mask.any() else np.ones_like(mask)
 
     def source(self, proposed: int) -> Simulated:
-        """What an explanation is made from if a proposal is refused now.
+        """Data for an explanation of a refusal of `proposed` in the present scene.
 
         Raises
         ------
@@ -180,7 +181,7 @@ class ExactDoor(Foretells):
         return self._kept(search, simulator, proposed)
 
     def rehearse(self) -> None:
-        """Decide, and call what acts where nothing passes: so that it is compiled."""
+        """Make a decision and call the kernels of the fallback, so that all are compiled."""
         self.decide(1)
         assert self._search is not None
         records = empty_records(1, 1)
@@ -188,7 +189,7 @@ class ExactDoor(Foretells):
         last_resort(records, self._plans, 0, 4, records.reason[0])
 
     def _read(self, counting: bool = True) -> Room:
-        """The traffic as it is, and room for searches in it; what was planned is kept where it is as was foretold."""
+        """The present traffic, and search buffers for it. The stored plan is kept if the scene is as predicted."""
         simulator, search = self._scene.read(counting)
         if self._scene.surprised:
             self._plans.length[0] = 0
@@ -210,7 +211,7 @@ def as_decision(
     areas: FloatArray | None = None,
     source: Source | None = None,
 ) -> Decision:
-    """What the records say of the first environment, as a decision that began at `start`."""
+    """Decision of the first environment in `records`, whose computation began at `start` [s]."""
     reason, tier = REASONS[records.reason[0]], TIERS[records.tier[0]]
     margin, latency = float(records.margin[0]), perf_counter() - start
     return Decision(shown, int(records.executed[0]), reason, tier, margin, latency, plan, areas, source=source)

@@ -1,4 +1,4 @@
-"""The door for several egos: each has a plan, and counts on the others' plans."""
+"""The filter for several egos: each has a plan, and the plans are verified together."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ def is_team(base: Any) -> bool:
 
 
 class TeamDoor(Foretells):
-    """Filters the meta-actions of several egos, where the traffic follows from its state.
+    """Filters the meta-actions of several egos in simulated traffic.
 
-    There is a plan for each of them, and all plans together keep everybody's buffer. One ego after the other is asked
-    what it wants: what it gets is verified with those before it doing what they have been given, and those after it
-    what is planned for them. So whatever it gets, there is a plan for everybody, as there was before.
+    Each ego has a plan, and all plans together keep every ego's buffer. The proposals are verified one after the other:
+    the earlier egos execute what was chosen for them, the later ones follow their plans. So there is a verified plan
+    for every ego after each choice, if there was one before.
 
     Parameters
     ----------
@@ -54,18 +54,18 @@ class TeamDoor(Foretells):
     Raises
     ------
     ConfigError
-        If the egos' actions are not meta-actions, the simulator cannot run the environment, or the settings are for
-        another kind of verification.
+        If the egos' actions are not meta-actions, the simulator does not support the environment, or the settings are
+        for another kind of verification.
 
     Attributes
     ----------
-    cause : why the scene of the last decision could not be read, "" where it could.
+    cause : why the scene of the last decision could not be read; "" if it could.
     """
 
     supervising = False
 
     def __init__(self, base: Any, config: ShieldConfig) -> None:
-        # What other settings do not mend comes first: they would be named as the remedy otherwise.
+        # First the refusals that no other setting remedies; otherwise a message would suggest these settings.
         if not on_network(base) or is_lot(base):
             raise ConfigError(
                 f"several egos are shielded on networks of roads, such as intersection-multi-agent-v2, not in "
@@ -90,16 +90,16 @@ class TeamDoor(Foretells):
 
     @property
     def agents(self) -> int:
-        """How many egos there are."""
+        """Number of egos."""
         return len(self._base.controlled_vehicles)
 
     def reset(self) -> None:
-        """Forget everything about the episode.
+        """Clear everything about the episode.
 
         Raises
         ------
         ConfigError
-            If the environment is now configured as the shield does not support.
+            If the environment's present configuration is not supported.
         """
         check_configuration(self._base, self.config)
         check_network(self._base)
@@ -116,7 +116,7 @@ class TeamDoor(Foretells):
         Raises
         ------
         ConfigError
-            If there are more or fewer.
+            If their number differs from that of the egos.
         """
         given: Any = actions
         rows: list[Any] = list(given) if np.iterable(given) else [given]
@@ -141,7 +141,7 @@ class TeamDoor(Foretells):
     def _one_by_one(
         self, actions: Sequence[Any], base: Any, room: Room, remembered: list[Plans], start: float
     ) -> list[Decision]:
-        """Decide for one ego after the other in the scene of an environment; `remembered` is theirs, and written."""
+        """Decide for one ego after the other in the scene of `base`. Updates `remembered`, the egos' plans."""
         simulator, search = room
         depth, slowest = search.bounds.depth, int(search.order[0])
         wanted = np.full((self.agents, depth + 1), slowest, np.intp)
@@ -163,6 +163,7 @@ class TeamDoor(Foretells):
         return decisions
 
     def _of_one(self, action: Any, room: Room, plans: Plans, start: float) -> Decision:
+        """Decide for one ego."""
         proposed, records = action_index(action), empty_records(1, 1)
         (simulator, search), source = room, None
         if not passes(search, plans, records, simulator.worlds, 0, proposed):
@@ -173,7 +174,7 @@ class TeamDoor(Foretells):
         return as_decision(action if proposed < 0 else proposed, records, start, source=source)
 
     def _verifies(self, base: Any, room: Room) -> bool:
-        """Whether some sequences of actions of all egos verify in a scene; changes nothing that is remembered."""
+        """Whether some sequences of actions of all egos verify in a scene. Read-only."""
         depth, slowest = room[1].bounds.depth, int(room[1].order[0])
         alike = all(len(plans.actions[0]) == depth and plans.verified[0] for plans in self._plans)
         plans = deepcopy(self._plans) if alike else [empty_plans(1, depth) for _ in self._plans]
@@ -181,6 +182,7 @@ class TeamDoor(Foretells):
         return all(decision.tier.verified for decision in decisions)
 
     def _last_resort(self, actions: Sequence[Any], reason: Reason, start: float) -> list[Decision]:
+        """Decisions without a readable scene: the stored plans, or SLOWER."""
         self._scene.expect_nothing()
         slowest, decisions = slower(list(self._base.action_type.agents_action_types[0].actions_indexes)), []
         for plans, action in zip(self._plans, actions, strict=True):
@@ -191,17 +193,17 @@ class TeamDoor(Foretells):
 
 
 def _with_meta_actions(base: Any) -> str:
-    """What gives the egos meta-actions that are filtered, in words; "" where highway-env or the shield refuses them.
+    """Advice on how to give the egos meta-actions; "" where highway-env or the shield refuses these.
 
     Parameters
     ----------
-    base : highway-env's environment, unwrapped. Another of its class is made.
+    base : highway-env's environment, unwrapped. The check makes another one of its class.
     """
     action = {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}
     try:
         TeamDoor(type(base)(config={**base.config, "action": action}), ShieldConfig.simulated_traffic())
     except Exception:
-        # Whatever it is, it must not hide what is told.
+        # An error of this check must not hide the message that it is for.
         return ""
     return (
         '. Pass config={"action": {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}} to '

@@ -1,4 +1,4 @@
-"""Bodies that simulated traffic did not foretell: who of them leaves the egos nothing that verifies."""
+"""Bodies that the simulation did not predict, and those that leave the egos without a verified sequence."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ from dynamics.road_networks.simulation.supported_traffic import may_have_spawned
 __all__ = ["blocking", "unannounced"]
 
 Verifies = Callable[[Any], bool]
-"""Whether any sequence of actions verifies in an environment, unwrapped; False where it cannot be simulated."""
+"""Whether any sequence of actions verifies in an environment, unwrapped; False if it cannot be simulated."""
 
 
 def unannounced(base: Any, foretold: Set[Any]) -> set[Any]:
-    """The vehicles and obstacles that were not foretold, without egos and what highway-env may have spawned itself.
+    """Vehicles and obstacles that were not predicted, without the egos and those that highway-env may have spawned
+    itself.
 
     Parameters
     ----------
-    base : highway-env's environment, unwrapped. foretold : the bodies of the scene that was foretold.
+    base : highway-env's environment, unwrapped. foretold : the bodies of the predicted scene.
     """
     known = foretold | set(base.controlled_vehicles)
     bodies = (*base.road.vehicles, *base.road.objects)
@@ -27,14 +28,15 @@ def unannounced(base: Any, foretold: Set[Any]) -> set[Any]:
 
 
 def blocking(base: Any, newcomers: set[Any], verifies: Verifies) -> set[Any]:
-    """The newcomers that have crashed with an ego, or without which some sequence of actions would verify.
+    """Newcomers that have crashed with an ego, or without which some sequence of actions would verify.
 
-    Several that block only together are all returned.
+    If several block only together, all are returned.
 
     Parameters
     ----------
-    base : highway-env's environment, unwrapped, as it is now.
-    newcomers : vehicles and obstacles in it that were not foretold.
+    base : highway-env's environment, unwrapped, in its present state.
+    newcomers : its vehicles and obstacles that were not predicted.
+    verifies : check for an environment, unwrapped.
     """
     if not newcomers:
         return set()
@@ -49,7 +51,7 @@ def blocking(base: Any, newcomers: set[Any], verifies: Verifies) -> set[Any]:
 
 
 def _without(base: Any, bodies: set[Any]) -> Any:
-    """A view of an environment without some bodies; the environment stays as it is."""
+    """View of an environment without some bodies; the environment stays unchanged."""
     view, road = copy(base), copy(base.road)
     road.vehicles = [body for body in road.vehicles if body not in bodies]
     road.objects = [body for body in road.objects if body not in bodies]

@@ -1,4 +1,4 @@
-"""What is foretold of one environment's traffic, and whether it comes about."""
+"""Prediction of one environment's traffic by simulation, and its comparison with the next scene."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ __all__ = ["STATE", "ExactScene", "Foretells", "Room", "check_traffic", "simulat
 _log = logging.getLogger(__name__)
 
 Room = tuple[Simulator | NetworkSimulator, Search]
-"""A simulator of the scene as it is, and room for searches in it."""
+"""A simulator of the present scene, and search buffers for it."""
 STATE = [X, Y, HEADING, SPEED]
-"""Rows of the arrays that are foretold."""
+"""Rows of the predicted arrays."""
 _SIZE = [LENGTH, WIDTH]
 _SAME = 1e-6
-"""A vehicle has done what was foretold of it within this [m, rad, m/s]; where numpy's own sums cannot be had they
-differ by some 1e-12."""
+"""Greatest difference between prediction and observation that is not a mismatch [m, rad, m/s]. Without numpy's own sums
+rounding differs by about 1e-12."""
 _ELSEWHERE = 100.0
-"""No vehicle strays so far from what was foretold of a decision [m]."""
+"""No vehicle deviates by this much from a prediction within one decision [m]; a vehicle further away is a newcomer."""
 
 
 def why_unread(error: Exception) -> tuple[Reason, str]:
-    """The reason and the cause that a record gets where reading the scene raised; what is nobody's fault is logged."""
+    """Reason and cause of a record after an error while reading the scene. An unexpected error is logged."""
     if isinstance(error, SceneError | ConfigError):
         return Reason.BAD_SCENE, str(error)
     _log.error("the scene could not be read; the last resort acts", exc_info=error)
@@ -54,12 +54,12 @@ def why_unread(error: Exception) -> tuple[Reason, str]:
 
 
 def check_traffic(base: Any) -> None:
-    """Raise where the traffic of an environment, unwrapped, cannot be simulated.
+    """Raise unless the traffic of an environment, unwrapped, can be simulated.
 
     Raises
     ------
     ConfigError
-        That says what moves it in another way.
+        If a vehicle or an object moves in an unknown way; the message names it.
     """
     if isinstance(base, CompiledHighwayEnv):
         return
@@ -72,27 +72,27 @@ def check_traffic(base: Any) -> None:
 
 
 def simulate_network(base: Any, like: Any, **options: Any) -> NetworkSimulator:
-    """A simulator of a network of roads, for `ExactScene`; options as of `NetworkSimulator`."""
+    """Simulator of a road network, for `ExactScene`; options as of `NetworkSimulator`."""
     return NetworkSimulator(base, like=like, **options)
 
 
 class ExactScene:
-    """The traffic of one environment in a simulator's arrays, with room for searches.
+    """The traffic of one environment in a simulator's arrays, with search buffers.
 
     Parameters
     ----------
     base : the environment, unwrapped: highway-env's own, or a `CompiledHighwayEnv`.
     config : settings with `Assumptions.simulated_traffic()`.
-    simulate : makes a simulator of the environment as it is; it is handed one that it has made of the same road, or
-        None.
-    verifies : whether any sequence of actions verifies in a scene, of its environment and its room.
+    simulate : makes a simulator of the environment's present state. Its second argument is an earlier simulator of the
+        same road, or None.
+    verifies : whether any sequence of actions verifies in a scene, given its environment and its `Room`.
 
     Attributes
     ----------
-    by_rule : offences by the rule that was broken, counted whenever the scene is read: "unforeseen" by a body that has
-        done something else than what was foretold or has another size; "appeared" by one that was not there, and with
-        which no sequence of actions verifies or an ego has crashed.
-    surprised : whether the scene is another than was foretold.
+    by_rule : violations by rule, counted whenever the scene is read. "unforeseen": a body that has moved otherwise than
+        predicted, or changed its size. "appeared": a newcomer that has crashed with an ego, or with which no sequence
+        of actions verifies.
+    surprised : whether the scene differs from the prediction.
     """
 
     def __init__(
@@ -110,19 +110,19 @@ class ExactScene:
 
     @property
     def violations(self) -> int:
-        """How many offences there have been."""
+        """Number of violations."""
         return sum(self.by_rule.values())
 
     def forget(self) -> None:
-        """Forget everything about the episode, and make room for the next. A scene that cannot be read is refused where
-        it is asked for."""
+        """Clear everything about the episode, and allocate buffers for the next. An unreadable scene raises later, when
+        it is read."""
         self.expect_nothing()
         if self._base.road is not None or isinstance(self._base, CompiledHighwayEnv):
             with suppress(SceneError, ConfigError):
                 self.read()
 
     def expect_nothing(self) -> None:
-        """Foretell nothing of what comes next."""
+        """Clear the prediction of the next scene."""
         self.surprised = False
         self._counted: set[Any] = set()
         self._foretold: FloatArray = np.zeros((len(STATE) + len(_SIZE), 0))
@@ -130,17 +130,22 @@ class ExactScene:
 
     @property
     def foretells(self) -> bool:
-        """Whether anything is foretold of what comes next."""
+        """Whether there is a prediction of the next scene."""
         return bool(self._foretold_of)
 
     def expect(self, states: FloatArray) -> None:
-        """Foretell the next scene: `states` has the rows x, y [m], heading [rad] and speed [m/s] of its bodies. They
-        keep the sizes that they had when the scene was read."""
+        """Set the prediction of the next scene.
+
+        Parameters
+        ----------
+        states : rows x, y [m], heading [rad] and speed [m/s] of its bodies, (4, m). The bodies keep their sizes of the
+            last scene read.
+        """
         self._foretold, self._foretold_of = np.concatenate([states, self._sizes]), self.bodies()
         self._counted = set()
 
     def read(self, counting: bool = True) -> Room:
-        """The scene as it is; `counting` those who have done something else than what was foretold.
+        """The present scene; with `counting`, prediction mismatches are counted as violations.
 
         Raises
         ------
@@ -164,6 +169,7 @@ class ExactScene:
         return room
 
     def _load(self) -> Room:
+        """Load the present state into a simulator with the right number of bodies."""
         base = self._base
         if isinstance(base, CompiledHighwayEnv):
             return self._rooms.get(0) or self._furnish(0, base.simulator)
@@ -175,8 +181,7 @@ class ExactScene:
         return known
 
     def look(self) -> None:
-        """Count those who have done something else than what was foretold by the end of an episode, after which nothing
-        is read."""
+        """Count the prediction mismatches at the end of an episode, after which no scene is read."""
         if not self.foretells:
             return
         base, surprised = self._base, self.surprised
@@ -190,14 +195,14 @@ class ExactScene:
         self.surprised = surprised
 
     def _count(self, others: set[Any], rule: Breach) -> None:
-        """Count each once for what was foretold."""
+        """Count each body at most once for each prediction."""
         new = others - self._counted
         if new:
             self.by_rule[rule.value] = self.by_rule.get(rule.value, 0) + len(new)
             self._counted |= new
 
     def _newcomers(self) -> set[Any]:
-        """The bodies that were not foretold, and those that are somewhere else altogether: they have been put there."""
+        """Bodies that were not predicted, and bodies so far from their prediction that they were placed there."""
         if not self.foretells or isinstance(self._base, CompiledHighwayEnv):
             return set()
         known = [(body, self._foretold_of[body]) for body in self.bodies() if body in self._foretold_of]
@@ -206,11 +211,11 @@ class ExactScene:
         return unannounced(self._base, {body for (body, _), moved in zip(known, far, strict=True) if not moved})
 
     def _blocking(self, newcomers: set[Any]) -> set[Any]:
-        """Those of them that leave the egos nothing that verifies, or have crashed with one."""
+        """Newcomers that leave the egos without a verified sequence, or have crashed with one."""
         return blocking(self._base, newcomers, self._verified_in)
 
     def _verified_in(self, base: Any) -> bool:
-        """Whether any sequence of actions verifies in an environment, unwrapped; False where it is not simulated."""
+        """Whether any sequence of actions verifies in an environment, unwrapped; False if it cannot be simulated."""
         try:
             simulator = self._simulate(base, self._of_this_road())
         except (SceneError, ConfigError):
@@ -218,23 +223,27 @@ class ExactScene:
         return self._verifies(base, (simulator, new_search(simulator, self._config, self._allies())))
 
     def as_foretold(self) -> bool:
-        """Whether everybody is where it was foretold, and nobody else has come; nothing is read but where they are."""
+        """Whether the bodies and their states are as predicted. Reads their states only."""
         bodies = self.bodies()
         if bodies.keys() != self._foretold_of.keys():
             return False
         return bool((np.abs(_states(bodies) - self._foretold) <= _SAME).all())
 
     def bodies(self) -> dict[Any, int]:
-        """The columns of the scene, by what they stand for."""
+        """Columns of the scene, by body."""
         base = self._base
         if isinstance(base, CompiledHighwayEnv):
             return {k: k for k in range(base.simulator.worlds.f.shape[2])}
         return {body: k for k, body in enumerate([*base.road.vehicles, *base.road.objects])}
 
     def shown(self, search: Search, actions: IntArray, length: int) -> tuple[FloatArray, FloatArray]:
-        """What is foretold if the ego carries out the first `length` actions from future 0 on: of the ego,
-        (frames + 1, 4) x, y [m], heading [rad], speed [m/s], and the boxes around the others, (frames + 1, others, 4)
-        x_min, x_max, y_min, y_max [m]."""
+        """Predicted motion if the ego executes the first `length` actions from future 0 on.
+
+        Returns
+        -------
+        The ego's states x, y [m], heading [rad], speed [m/s], (frames + 1, 4), and the bounding boxes of the other
+        bodies, x_min, x_max, y_min, y_max [m], (frames + 1, others, 4).
+        """
         rows = np.zeros((length * search.rules.numbers[0] + 1, search.futures.f.shape[2], 7))
         rows = rows[: foretell(search, actions, length, rows)]
         ego = self.ego(self._foretold_of)
@@ -253,7 +262,7 @@ class ExactScene:
         length: int,
         team: tuple[Any, ...] | None = None,
     ) -> Simulated:
-        """What a refusal of a proposal is made from; arguments as of `Simulated`, `planned` with `length` actions."""
+        """Data for an explanation of a refusal; parameters as of `Simulated`. `planned` has `length` actions."""
         base, labels = self._base, action_labels(self._base)
         lanes: list[Any] = [] if search.bounds.straight else list(index_of(base.road.network))
         return Simulated(
@@ -268,17 +277,18 @@ class ExactScene:
         )
 
     def _furnish(self, bodies: int, simulator: Simulator | NetworkSimulator) -> Room:
-        """Room for so many bodies: where vehicles come and go, their number changes back and forth."""
+        """Allocate buffers for a number of bodies. Where vehicles spawn and leave, the buffers are kept for each
+        number."""
         old = self._rooms[bodies][1] if bodies in self._rooms else None
         self._rooms[bodies] = simulator, new_search(simulator, self._config, self._allies(), old)
         return self._rooms[bodies]
 
     def _allies(self) -> int:
-        """How many egos there are beside the first."""
+        """Number of egos besides the first."""
         return 0 if isinstance(self._base, CompiledHighwayEnv) else len(self._base.controlled_vehicles) - 1
 
     def _of_this_road(self) -> Simulator | NetworkSimulator | None:
-        """A simulator of the road as it is in this episode."""
+        """An existing simulator of the episode's road; None without one."""
         of_networks = (s for s, _ in self._rooms.values() if isinstance(s, NetworkSimulator))
         return next((s for s in of_networks if s.is_on(self._base)), None)
 
@@ -287,13 +297,16 @@ class ExactScene:
         return 0 if isinstance(self._base, CompiledHighwayEnv) else bodies[self._base.vehicle]
 
     def _compare(self, states: FloatArray) -> set[Any]:
-        """The vehicles that have done something else than was foretold, of those who were there then and are there now.
-        Where the ego has too, it may be the cause: then there is none, but for those with which it has crashed."""
+        """Vehicles with a prediction mismatch, among those present both then and now.
+
+        If the ego has a mismatch too, it may be the cause of the others'. Then the result has only the vehicles that it
+        has crashed with.
+        """
         bodies, before = self.bodies(), self._foretold_of
         known = [(body, k, before[body]) for body, k in bodies.items() if body in before]
         columns = np.array([each[1:] for each in known], np.intp).reshape(-1, 2)
         now, foretold = states[:, columns[:, 0]], self._foretold[:, columns[:, 1]]
-        there = np.hypot(*(now - foretold)[:2]) <= _ELSEWHERE  # the others are newcomers
+        there = np.hypot(*(now - foretold)[:2]) <= _ELSEWHERE  # a body further away is a newcomer
         other = there & ~(np.abs(now - foretold) <= _SAME).all(axis=0)
         self.surprised = bool(other.any())
         found, ego = {known[k][0] for k in np.flatnonzero(other)}, self.ego(bodies)
@@ -304,31 +317,32 @@ class ExactScene:
 
 
 def _states(bodies: Iterable[Any]) -> FloatArray:
-    """Of highway-env's bodies now: rows x, y [m], heading [rad], speed [m/s], length and width [m]."""
+    """Present states of highway-env's bodies: rows x, y [m], heading [rad], speed [m/s], length and width [m], (6,
+    m)."""
     rows = [[*body.position, body.heading, body.speed, body.LENGTH, body.WIDTH] for body in bodies]
     return np.array(rows, float).T
 
 
 class Foretells:
-    """A door that foretells a scene: what offends is what comes about otherwise."""
+    """A filter that predicts the next scene, and counts mismatches as violations."""
 
     _scene: ExactScene
     config: ShieldConfig
 
     def record(self) -> None:
-        """Keep in each decision what is drawn, as with `ShieldConfig.record`."""
+        """Keep in each decision the data for drawings, as with `ShieldConfig.record`."""
         self.config = self.config.replace(record=True)
 
     def look(self) -> None:
-        """Judge the others in the last step of an episode, after which nothing is decided."""
+        """Run the monitor on the last step of an episode, after which there is no decision."""
         self._scene.look()
 
     @property
     def violations(self) -> int:
-        """Offences of the others, counted whenever the scene is read."""
+        """Number of violations by other vehicles, counted whenever the scene is read."""
         return self._scene.violations
 
     @property
     def by_rule(self) -> dict[str, int]:
-        """The same by the rule that was broken; see `ExactScene`."""
+        """The same by rule; see `ExactScene`."""
         return dict(self._scene.by_rule)

@@ -1,4 +1,5 @@
-"""What a refusal adds: other ways to filter the same actions in the same environment, each of them tried."""
+"""Advice in the message of a refusal: other settings that filter the same actions in the same environment, each
+tried."""
 
 from __future__ import annotations
 
@@ -18,11 +19,12 @@ __all__ = ["by_default", "by_simulation", "team_by_simulation"]
 
 
 def by_simulation(base: Any) -> str:
-    """A remedy for one ego: `ShieldConfig.simulated_traffic()`, in words; "" where that is refused too.
+    """Advice to have the actions of one ego filtered by `ShieldConfig.simulated_traffic()`; "" where that refuses them
+    too.
 
     Parameters
     ----------
-    base : highway-env's environment, unwrapped. It is tried, and left as it is.
+    base : highway-env's environment, unwrapped. The check leaves it unchanged.
     """
     filters = ExactInputDoor if isinstance(base.action_type, ContinuousAction) else ExactDoor
     if not _accepted(filters, base, ShieldConfig.simulated_traffic()):
@@ -36,22 +38,22 @@ def by_simulation(base: Any) -> str:
 
 
 def team_by_simulation(base: Any) -> str:
-    """How to have the meta-actions of several egos filtered, in words; "" where they are refused.
+    """Advice to have the meta-actions of several egos filtered; "" where they are refused.
 
     Parameters
     ----------
-    base : highway-env's environment, unwrapped, with `MultiAgentAction`. It is tried, and left as it is.
+    base : highway-env's environment, unwrapped, with `MultiAgentAction`. The check leaves it unchanged.
     """
     accepted = is_team(base) and _accepted(TeamDoor, base, ShieldConfig.simulated_traffic())
     return "ShieldedEnv(env, ShieldConfig.simulated_traffic()) filters those of several" if accepted else ""
 
 
 def by_default(base: Any) -> str:
-    """That the default settings filter meta-actions on a network of roads, in words; "" where they do not.
+    """Advice that the default settings filter meta-actions on a road network; "" where they do not.
 
     Parameters
     ----------
-    base : highway-env's environment, unwrapped, with `DiscreteMetaAction`. It is tried, and left as it is.
+    base : highway-env's environment, unwrapped, with `DiscreteMetaAction`. The check leaves it unchanged.
     """
     if not has_crossings(base) or not _accepted(RoadDoor, base, default_on(base)):
         return ""
@@ -62,10 +64,10 @@ def by_default(base: Any) -> str:
 
 
 def _accepted(filters: Callable[[Any, ShieldConfig], Any], base: Any, config: ShieldConfig) -> bool:
-    """Whether what filters an environment can be made for it."""
+    """Whether a filter can be constructed for an environment."""
     try:
         filters(base, config)
     except Exception:
-        # Whatever it is, it is not what the user has asked for, and must not hide what is told.
+        # The user did not choose these settings: an error of the check must not hide the message that it is for.
         return False
     return True

@@ -4,9 +4,9 @@ A judge decides which inputs verify, and only judged inputs are returned. The ma
 for each vehicle, the lane of the stop, the edges of the road). Each part is nearly linear in the input of one frame. So
 the search
 
-1. linearises all parts at an input by finite differences of the exact rollouts, goes to the nearest point at which they
-are satisfied (`mpc.filter.solvers.nearest_point`), and repeats this from there: Newton's method for the nearest point
-of the boundary;
+1. linearises all parts at an input, by finite differences of the exact rollouts. It goes to the nearest point at which
+they are satisfied (`mpc.filter.solvers.nearest_point`), and repeats this from there: Newton's method for the nearest
+point of the boundary;
 2. if this finds none: tries a fan of inputs between the proposal and braking in a lane, and then rings around the
 proposal, nearer than the best so far;
 3. sweeps the region nearer than the best so far with evenly spread points, since the set of verified inputs is neither

@@ -46,7 +46,6 @@ def forgive(shields: Shields, e: int) -> None:
 
 @inlined
 def _keep(records: Records, e: int, k: int, tier: int, reason: int, lane: int, acceleration: float) -> None:
-    """Record a frame, without a margin."""
     records.tiers[e, k], records.reasons[e, k] = tier, reason
     records.lanes[e, k], records.accelerations[e, k] = lane, acceleration
     records.margins[e, k], records.clauses[e, k], records.vehicles[e, k] = float("nan"), NOTHING_BINDS, NOBODY
@@ -54,7 +53,6 @@ def _keep(records: Records, e: int, k: int, tier: int, reason: int, lane: int, a
 
 @inlined
 def _note(records: Records, e: int, k: int, room: Room, i: int) -> None:
-    """Record the margin, clause and vehicle of candidate `i`."""
     plans = room.plans
     records.margins[e, k], records.clauses[e, k], records.vehicles[e, k] = (
         plans.margins[i],

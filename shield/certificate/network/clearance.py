@@ -2,10 +2,11 @@
 
 Notation
 --------
-As in `dynamics.road_networks.reachable.strips`: a *reachable interval* is a row of `Others.marks` and `Others.numbers`.
-The ego's footprint with its buffer covers s from `box[0]` to `box[1]` of a lane, and r from `box[2]` to `box[3]`. A
-vehicle that has driven x towards that lane covers s between x - FAR - HALF and x - NEAR + HALF, within its band. The
-*separation* is the greater of the gaps along and across the lane. It is negative where the footprints overlap in both.
+As in `dynamics.road_networks.reachable.strips`: a *reachable interval* is a strip, a row of `Others.marks` and
+`Others.numbers`. The ego's footprint with its buffer covers s from `box[0]` to `box[1]` of a lane, and r from `box[2]`
+to `box[3]`. A vehicle that has driven x towards that lane is within its band, at s between x - FAR - HALF and x - NEAR
++ HALF. The *separation* is the greater of the gaps along and across the lane. It is negative where the footprints
+overlap in both.
 
 Followers. A vehicle that approaches from behind in the ego's lane brakes for the ego at `Duty.braking` or harder. It
 begins `Duty.reaction` frames after the ego has become visible in the lane. Unless `Duty.ahead` is set, no vehicle looks
@@ -16,7 +17,8 @@ interval of the ending lane extends into the lane beside. Such a vehicle has an 
 in the ending lane too.
 
 Right of way. With `Duty.gives_way`, a vehicle with less right of way than the ego brakes in the same way before any
-lane, from when the ego has the right of way. It counts as waiting if it can stay behind the ego's body by braking so.
+lane. It does so from when the ego has the right of way. It counts as waiting if it can stay behind the ego's body by
+braking so.
 
 No other vehicle yields: crossing, merging and oncoming vehicles may be anywhere in their reachable intervals.
 """
@@ -67,7 +69,7 @@ CLEAR = -1e-6
 """Least margin of a path that counts as clear [m]; a smaller one is more than a rounding error."""
 MADE = -1e-9
 """Least margin of a newly chosen path [m]. The difference to `CLEAR` is a budget for rounding and for the tolerances of
-`shield.certificate.network.monitor`, which reduce the margin of a path frame by frame and add up."""
+`shield.certificate.network.monitor`. They reduce the margin of a path frame by frame, and add up."""
 _NEARLY = 1e-3
 """Distances to one lane that differ by less count as equal [m]."""
 _ENDLESS = 100_000
@@ -120,9 +122,10 @@ def _arrival(v: float, way: float, drive: FloatArray, acceleration: float, dt: f
     """Upper bound on the speed [m/s] of a vehicle in its first frame beyond a distance `way` [m], wherever between two
     frames it gets there.
 
-    With the least share of the distance that it gains along its lanes, v (v - a dt) + 2 a way / share increases in no
-    frame, however the vehicle drives. So this bound does not increase either. A vehicle that creeps and steers hard may
-    gain less of the distance: it is taken to have the greatest speed that it can have when it stops creeping.
+    Let share be the least share of the distance that the vehicle gains along its lanes. Then v (v - a dt) + 2 a way /
+    share increases in no frame, however the vehicle drives. So this bound does not increase either. A vehicle that
+    creeps and steers hard may gain less of the distance. It is taken to have the greatest speed that it can have when
+    it stops creeping.
 
     Parameters
     ----------
@@ -225,8 +228,8 @@ def find_coming_over(others: Others, road: Road, found: BoolArray) -> None:
 
 @uncounted
 def _is_seen(others: Others, road: Road, trial: Trial, j: int, k: int) -> bool:
-    """Whether the vehicle of reachable interval j sees the ego in its lane in frame k. A vehicle that has yet to move
-    over from an ending lane sees the ego only where it is visible in the ending lane as well."""
+    """Whether the vehicle of reachable interval j sees the ego in its lane in frame k. If it has yet to move over from
+    an ending lane, the ego has to be visible in the ending lane as well."""
     while trial.seen[others.marks[j, 1], k]:
         if not _comes_over(others, road, j):
             return True
@@ -238,11 +241,11 @@ def _is_seen(others: Others, road: Road, trial: Trial, j: int, k: int) -> bool:
 
 @uncounted
 def _is_owed(others: Others, road: Road, trial: Trial, j: int, since: int, contact: int) -> bool:
-    """Whether the vehicle of reachable interval j has a distance obligation in that lane up to frame `contact`, with
-    the ego visible in the lane from frame `since` on.
+    """Whether the vehicle of reachable interval j has a distance obligation in that lane up to frame `contact`. The ego
+    is visible in the lane from frame `since` on.
 
-    Before the vehicle has entered that lane, the obligation lasts as long as it has one in the lane before, and the ego
-    stays visible there.
+    Before the vehicle has entered that lane, it needs an obligation in the lane before, and the ego has to stay visible
+    there.
     """
     i, row, before = others.marks[j, 0], others.numbers[j], others.marks[j, 2]
     if row[NEAR] <= 0 or road.duty.ahead:

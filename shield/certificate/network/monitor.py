@@ -4,18 +4,18 @@ From one frame to the next, a vehicle may do the following. `dynamics.road_netwo
 follows from that for all time.
 
 1. *speed*: brake and accelerate within `Conduct`, up to the limit of the lanes ahead of it;
-2. *ways*: be inside one of its reachable intervals, along and across the lane, with its body no further out, and on its
-way back to the centre. It may take another lane where the ego's fail-safe keeps its room;
+2. *ways*: be inside one of its reachable intervals, along and across the lane. Its body reaches no further out, and it
+is on its way back to the centre. It may take another lane where the ego's fail-safe keeps its room;
 3. *reversing*: reverse only where the ego's fail-safe keeps its room;
 4. *crash*: not crash;
 5. *distance*: with a distance obligation, brake for the ego as long as that helps. By braking at `Duty.braking` it
 stays behind the ego's body on its fail-safe;
-6. *right of way*: where that is assumed, a vehicle that has been expected to wait for the ego, for longer than its
-reaction time, brakes where the fail-safe would lose its room otherwise.
+6. *right of way*, where that is assumed: brake for the ego where the fail-safe would lose its room otherwise. This
+holds for a vehicle that has been expected to wait for longer than its reaction time.
 
-Rule 2 is also violated by a vehicle whose heading leaves its lanes so far that it collides with the ego's body in the
-coming frame, as highway-env counts collisions (`shield.certificate.network.next_frame`). A body with a number that is
-not finite violates the rule that checks this number.
+The heading may also violate rule 2. The vehicle then points so far out of its lanes that it collides with the ego's
+body in the coming frame, as highway-env counts collisions (`shield.certificate.network.next_frame`). A body with a
+number that is not finite violates the rule that checks this number.
 
 Rules 1, 4 and 5 are checked always. The others are checked where the ego's fail-safe loses its room. The same holds for
 vehicles that have *appeared* or *grown*. A wreck or an object may never appear, nor *move*: it stays inside the
@@ -183,8 +183,8 @@ class Watch:
             self.by_rule[rule] = self.by_rule.get(rule, 0) + 1
 
     def judge(self, now: Seen, who: set[Any], road: Road, late: set[Any]) -> set[Any]:
-        """Those of the vehicles `who` that have violated a rule so far, or do so from the last scene to this one,
-        whether or not the fail-safe loses its room; `late` as in `next`."""
+        """Those of the vehicles `who` that have violated a rule so far, or do so from the last scene to this one. The
+        rules are checked whether or not the fail-safe loses its room; `late` as in `next`."""
         found = who & self.culprits
         if self.last is not None:
             before = {body: i for i, body in enumerate(self.last.who)}

@@ -1,8 +1,8 @@
 """Collisions with the ego in the coming frame as highway-env counts them: with both velocities constant.
 
-highway-env counts a crash where two bodies would touch before the next frame if they moved straight on along their
-headings (`are_polygons_intersecting`), whatever they then do. The prediction of a vehicle follows its lanes instead. So
-a vehicle that stays in its band, with a heading out of the band, causes a crash without coming nearer.
+highway-env counts a crash where two bodies that moved straight on along their headings would touch before the next
+frame (`are_polygons_intersecting`). Their actual motion does not matter. The prediction of a vehicle follows its lanes
+instead. So a vehicle that stays in its band, with a heading out of the band, causes a crash without coming nearer.
 """
 
 from __future__ import annotations

@@ -17,8 +17,7 @@ __all__ = ["Dues", "behind"]
 
 
 def behind(others: Others, trial: Trial, road: Road) -> BoolArray:
-    """For each vehicle and lane, whether the vehicle is behind the ego in that lane and the ego is visible there, at
-    the start of a path, (m, n).
+    """Whether each vehicle is behind the ego in each lane where the ego is visible, at the start of a path, (m, n).
 
     A vehicle with a distance obligation may enter the buffer and keeps the obligation, also in the lane that its own
     lane leads to. A vehicle that has yet to move over to a lane is behind there only where it is behind in the ending

@@ -39,8 +39,8 @@ class Memory(Generic[S]):
     frame : index of the last simulation frame; None if it is not known.
     stored : the fail-safe verified last: the lane that it stops in, the wheel angle that it holds [rad], or its
         remaining actions. None if there is none.
-    survey : judge of the last scene, with the lanes that the ego owns, the number of frames for which it has been
-        visible in each, and the vehicles that may enter each.
+    survey : judge of plans in the last scene. It holds the state of the lanes: those that the ego owns, for how many
+        frames it has been visible in each, and the vehicles that may enter each.
     watch : state of the monitor.
     plan : last plan of the predictive filter, inputs (N, 2), from which the next one starts.
     entered : lane that the stored fail-safe enters on the way, besides the ego's own and the last; None if there is
@@ -194,8 +194,7 @@ def _same(last: Scene, scene: Scene) -> IntArray | None:
 
 
 def _followers(last: Surveyor | None, same: IntArray | None) -> tuple[BoolArray, BoolArray] | None:
-    """Vehicles that were behind the ego in the last scene, and vehicles in a lane that it owned, (m,) bool in the order
-    of this scene."""
+    """`Surveyor.behind` and `Surveyor.held` of the last scene, (m,) bool, in the order of this scene's vehicles."""
     if last is None or same is None:
         return None if last is None else (last.behind, last.held)
     flags, known = np.zeros((2, len(same)), dtype=bool), same >= 0

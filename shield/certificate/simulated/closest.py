@@ -215,9 +215,9 @@ def _go_on_from(search: Search, node: int) -> float:
 
 @uncounted
 def closest_plan(search: Search, proposed: int, wish: Wish) -> float:
-    """The sequence that does not begin with the proposal, stays clear for the whole horizon, and loses the least
-    distance against a target command over its first `outlook` decisions, into `search.plan`. Return its least clearance
-    beyond the buffer [m], -inf if none is found."""
+    """The sequence that loses the least distance against a target command over its first `outlook` decisions, into
+    `search.plan`. It does not begin with the proposal, and stays clear for the whole horizon. Return its least
+    clearance beyond the buffer [m], -inf if none is found."""
     outlook, node = search.bounds.outlook, _best_node(search, ANY, proposed, search.bounds.outlook, wish, 0.0)
     if node == NOBODY or search.nodes.level[node] < outlook:
         return -np.inf

@@ -54,7 +54,6 @@ def empty_tail(depth: int) -> Tail:
 
 @uncounted
 def _store(search: Search, tail: Tail, length: int) -> None:
-    """Store the first `length` actions of `search.plan`."""
     for k in range(length):
         tail.actions[k] = search.plan[k]
     tail.counts[0], tail.counts[1] = length, 0

@@ -228,8 +228,8 @@ def foretell(search: Search, actions: IntArray, length: int, rows: FloatArray) -
 
 @inlined
 def repeats(reached: FloatArray, k: int) -> bool:
-    """Whether row k of `reached`, the target lane and target speed of an action, is that of an earlier action, so that
-    both have the same outcome."""
+    """Whether row k of `reached`, the target lane and target speed of an action, repeats that of an earlier action.
+    Then both actions have the same outcome."""
     found = False
     for earlier in range(k):
         found = found or (reached[earlier, 0] == reached[k, 0] and reached[earlier, 1] == reached[k, 1])
@@ -341,8 +341,8 @@ def survives(search: Search, first: int, stored: IntArray, length: int) -> tuple
     """Search for a sequence that begins with an action and keeps the buffer for the whole horizon, into `search.plan`;
     see `in_depth`.
 
-    If the stored sequence begins with another action, on a network the larger part of the budget is for joining it
-    again, and the rest for slowing down. On a straight highway all of it is for slowing down.
+    The stored sequence may begin with another action. Then, on a network, the larger part of the budget is for joining
+    it again, and the rest for slowing down. On a straight highway all of it is for slowing down.
 
     Returns
     -------

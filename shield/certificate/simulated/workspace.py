@@ -34,8 +34,8 @@ _BUDGET = 10
 _EFFORT, _EFFORT_ON_NETWORKS = 1_000, 24
 """The same for all searches of one decision together; on straight highways it is not reached."""
 _LAST, _LAST_ON_NETWORKS = 1_000, 4
-"""The same for each of the two last searches, for an extension of the stored sequence and for the longest sequence,
-after the others have failed."""
+"""The same for each of the two last searches, which follow if the others have failed: an extension of the stored
+sequence, and the longest sequence."""
 _DEAD = 64
 """Capacity of the dead-end table for each number of decisions."""
 _NODES = 1024

@@ -349,8 +349,8 @@ def judged(
 
     Returns
     -------
-    found : for each path, its margin, the room in the lane that it stops in, the least separation from each vehicle in
-        reach of any path, and that from each cut-in, (2 + q + c, n) [m].
+    found : a row for each term, (2 + q + c, n) [m]: the margin, the room in the lane that the path stops in, the
+        separation from each vehicle in reach of any path, and that from each cut-in.
     marked : number of frames before the first negative separation, binding clause, and binding vehicle, (3, n).
     near : rows of the vehicles in reach of any path, (q,).
     """

@@ -77,11 +77,11 @@ def entrants(
 ) -> None:
     """Fill in `others.comes`: which lanes each vehicle may enter, of those beside its band (`others.beside`).
 
-    A vehicle may enter a lane if it gains by that, or is on its way there. It is on its way if its lateral speed is
-    above that of a vehicle that settles in the centre of its own lane, including the lag of its heading. If the ego has
-    a plan to enter the lane, or is visible there, only vehicles that might enter at that time may still do so: any of
-    them until the ego has been visible for `sight` frames, and those on their way until it has been visible for
-    `settled` frames.
+    A vehicle may enter a lane if it gains by that, or is on its way there. It is on its way if it moves sideways faster
+    than a vehicle that settles in its own lane's centre, with the lag of its heading. The ego may have a plan to enter
+    the lane, or be visible there. Then only vehicles that might enter at that time may still do so. Any of them may
+    until the ego has been visible for `sight` frames; those on their way may until it has been visible for `settled`
+    frames.
 
     Parameters
     ----------
@@ -159,8 +159,8 @@ def sides_taken(
 
 @inlined
 def joins(low: float, high: float, goal: float, core: float, width: float) -> tuple[float, float]:
-    """Lateral extents of a vehicle with the band from `low` to `high` once the ego is no longer visible in the lane
-    with the centre `goal` [m]. If the band is beside that lane, the vehicle may be there too, within `core` of its
+    """Lateral extents of a vehicle with the band from `low` to `high` [m], once the ego is no longer visible in the
+    lane with the centre `goal`. If the band is beside that lane, the vehicle may be there too, within `core` of its
     centre. `width` is that of a lane."""
     if is_beside(low, high, goal, width):
         return min(low, goal - core), max(high, goal + core)

@@ -23,8 +23,8 @@ _LENGTH, _WIDTH = int(Vehicle.LENGTH), int(Vehicle.WIDTH)
 _LONG = 10**6
 """Number of frames that stands for any longer time."""
 _BESIDE = 1.0
-"""Lateral distance by which a plan may leave the range between the ego's position and the place where it stops, beyond
-the effect of its heading [m]."""
+"""Tolerance of the lateral range between the ego's position and the place where a plan stops, beyond the effect of the
+heading [m]."""
 _LEFT = 0.5
 """Lateral distance of the ego's buffer from a band at which the ego counts as having left the band [m]: a turning
 buffer sways."""
@@ -82,9 +82,9 @@ def in_reach(others: Others, limits: tuple[float, float], followers: bool, rows:
 def _comes_back(
     state: FloatArray, path: FloatArray, turned: FloatArray, size: Footprint, low: float, high: float
 ) -> bool:
-    """Whether the ego leaves the band from `low` to `high` [m] with its buffer by more than `_LEFT`, now or on its
-    path, and is in the band again later. No vehicle keeps a place free that the ego has left. `state` is the ego now,
-    (4,)."""
+    """Whether the ego leaves the band from `low` to `high` [m], now or on its path, and is in the band again later. It
+    has left the band when its buffer is more than `_LEFT` away. No vehicle keeps a place free that the ego has left.
+    `state` is the ego now, (4,)."""
     lat, frames = size.across, path.shape[0]
     least, most = state[1], state[1]
     for k in range(frames):
@@ -166,8 +166,8 @@ def counted_on(
     counted: BoolArray,
 ) -> None:
     """For each vehicle, whether a stored plan relies on it to brake, written to `counted`, (v,). These are the vehicles
-    that were behind the ego a frame before and may be in its way, except those that the plan leaves out for their
-    distance obligation.
+    that were behind the ego a frame before and may be in its way. Vehicles that the plan leaves out for their distance
+    obligation do not count.
 
     A vehicle with an obligation that has moved aside may have to be considered again, in two cases. It no longer
     reaches the place where the ego stops, and the plan may sway back into its band. Or the plan enters a lane on the
@@ -212,13 +212,13 @@ def hold_lanes(
     Parameters
     ----------
     r : lateral position of the ego [m]. centers : of the lanes [m]. frames : number of frames since the scene before.
-    sight, touch, leave : distance from a lane's centre within which the ego is visible in the lane, touches it, and has
-        not left it with its whole body [m].
+    sight : distance from a lane's centre within which the ego is visible in the lane [m].
+    touch, leave : the same, within which it touches the lane, and has not left it with its whole body [m].
     stored : lane in which the stored fail-safe stops, or -1.
     first : whether this is the first scene; then the other vehicles are taken to have seen the ego for long.
     visible : number of frames for which the ego has been visible in each lane, (lanes,).
-    owned : lanes that the ego owns, (lanes,). It owns a lane from when it touches it with a verified plan to stop
-        there, until its body has left the lane and no stored plan stops there.
+    owned : lanes that the ego owns, (lanes,). Ownership begins when the ego touches the lane with a verified plan to
+        stop there. It ends when its body has left the lane and no stored plan stops there.
     owing : vehicles with a distance obligation, (m,).
     coming : whether each vehicle may enter each lane, (lanes, m) or (0, m). Where the ego is no longer visible in a
         lane, every vehicle without an obligation may enter it.
@@ -317,8 +317,8 @@ def others_of(
         beyond = ahead + 0.5 * (rows[j, _LENGTH] * abs(cos) + rows[j, _WIDTH] * abs(sin)) + half
         behind, followed = beyond <= 0, followers.shape[0] > 0 and followers[j]
         if followed and not behind and beyond <= _CORNER:
-            # A vehicle with a distance obligation keeps it while a corner of it is beside a corner of the ego's buffer,
-            # until it touches the buffer.
+            # The obligation lasts while a corner of the vehicle is beside a corner of the ego's buffer, until it
+            # touches the buffer.
             behind = gap_between(ego.seen, ego.seen.along, ego.seen.across, rows, j, 0.0) >= 0
         low, high, held = lows[j], highs[j], False
         for k in range(centers.shape[0]):

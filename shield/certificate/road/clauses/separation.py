@@ -218,8 +218,8 @@ def separation(
     front: FloatArray,
 ) -> tuple[float, int]:
     """Least separation of a path (K, 4) from a vehicle without a distance obligation [m], and the first frame in which
-    it is negative, K if there is none. NaN and 0 for a vehicle that is not finite: `rear` is cumulative, so that its
-    last frame shows it.
+    it is negative, or K. NaN and 0 for a vehicle that is not finite: `rear` is cumulative, so that its last frame shows
+    it.
 
     Parameters
     ----------

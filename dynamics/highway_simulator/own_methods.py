@@ -22,7 +22,7 @@ _OF_ROADS = (
 )
 """The methods by which a road moves its vehicles."""
 _KNOWN = ("highway_env", "dynamics")
-"""Packages whose methods the compiled copies reproduce."""
+"""The compiled copies reproduce the methods of these packages."""
 
 
 def check_moves(base: Any, others: tuple[str, ...] = ()) -> None:

@@ -122,7 +122,7 @@ def scenario_of(env_id: str, config: Mapping[str, Any] | None = None, observes: 
     ConfigError
         If the compiled simulator does not support the configuration; the message lists all unsupported entries.
     PlatformError
-        If the installed version of highway-env is not the one that this is a copy of.
+        If the installed version of highway-env is not the version of this copy.
     """
     kind, registered = _class_of(env_id)
     whole = kind.default_config()

@@ -1,1 +1,1 @@
-"""Dynamics that are learned from data: x + dt (A(x, u) x + B(x, u) u), its data, its training and its files."""
+"""Learned dynamics, x + dt (A(x, u) x + B(x, u) u): models, data, training and files."""

@@ -62,8 +62,8 @@ class Scene:
     frames_per_decision : simulation frames in one decision period.
     frame : index of the simulation frame since the episode began, which identifies the instant. If None, each scene
         counts as the next instant.
-    ids : identity of each of the others, (n,), -1 for a row whose identity may change from scene to scene. None if all
-        scenes have the same vehicles in the same order.
+    ids : identity of each of the others, (n,); -1 if it may change from scene to scene. None if all scenes have the
+        same vehicles in the same order.
     observed : whether it was made from observations: the others' states are estimates, and some vehicles may be
         missing.
     blurred : whether the rows of the others are bounds: the greatest extent of each body, the least speed ahead of the
@@ -190,8 +190,8 @@ class SceneReader:
     Parameters
     ----------
     env : a highway-env environment, wrapped or not, with one controlled vehicle.
-    curved : whether a curved road may be read, as a `PathRoad`. For readers whose rollouts and bounds use the curvature
-        of the road (`Rollouts(dt, scene.road)`). Otherwise such a road is refused.
+    curved : whether a curved road may be read, as a `PathRoad`, by a reader with rollouts and bounds that use its
+        curvature (`Rollouts(dt, scene.road)`). Otherwise such a road is refused.
 
     Raises
     ------

@@ -1,1 +1,1 @@
-"""What the others may do, and where they can be."""
+"""Assumptions about other vehicles, their reachable places, and the rules of the road."""

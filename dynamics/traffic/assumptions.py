@@ -129,7 +129,7 @@ class Assumptions:
 
     @classmethod
     def moderate(cls) -> Assumptions:
-        """Traffic whose leaders brake at no more than 3 m/s^2: the default of `Shield` over its horizon of some
+        """Traffic with leaders that brake at no more than 3 m/s^2: the default of `Shield` over its horizon of some
         seconds.
 
         An ego that cannot go below 20 m/s has no plan against a leader that may stop, so the worst case would refuse

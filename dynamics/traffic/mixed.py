@@ -26,7 +26,7 @@ class Mixed(IDMVehicle):  # type: ignore[misc]
 
     @classmethod
     def create_random(cls, road: Any, *args: Any, **kwargs: Any) -> Any:
-        """The next vehicle on a road whose first vehicle is the ego; see highway-env's `Vehicle.create_random`."""
+        """The next vehicle on a road with the ego as its first vehicle; see highway-env's `Vehicle.create_random`."""
         return cls.MIX[(len(road.vehicles) - 1) % len(cls.MIX)].create_random(road, *args, **kwargs)
 
 

@@ -41,12 +41,12 @@ class Lanes(NamedTuple):
 
 @uncounted
 def strips(others: FloatArray, states: FloatArray, growth: FloatArray, lanes: Lanes, bodies: Bodies) -> None:
-    """Fill in `lane`, `first`, `last`, `low`, `high` and `reach` of `bodies`; NaN for a vehicle whose row is NaN.
+    """Fill in `lane`, `first`, `last`, `low`, `high` and `reach` of `bodies`; NaN for a vehicle with NaN in its row.
 
     Parameters
     ----------
     others : vehicle rows (m, 7). states : road states (m, 4).
-    growth : what a bend adds to each body along and across, (m, 2) [m]; no rows on a straight road.
+    growth : how much a bend adds to each body along and across, (m, 2) [m]; no rows on a straight road.
     """
     centers, count = lanes.centers, lanes.centers.shape[0]
     # Before the loop, since it is slow to read an array from a tuple inside it.
@@ -104,8 +104,8 @@ def spend(
     lap: float,
     bodies: Bodies,
 ) -> None:
-    """Fill in `budget`, `action` and `recent` of `bodies` from the frame before: what was left, plus what has
-    recovered, less the distance lost by turning.
+    """Fill in `budget`, `action` and `recent` of `bodies` from the frame before: the allowances left, plus their
+    recovery, less the distance lost by turning.
 
     Parameters
     ----------

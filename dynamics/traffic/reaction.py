@@ -93,8 +93,14 @@ def _asks(d: float, fast: float, slow: float, motion: Motion) -> bool:
 
 @inlined
 def _lets_in(v: float, closing: float, far: float) -> bool:
-    """Whether MOBIL permits a vehicle to move in at distance `far` [m] ahead of another at speed v, whose closing speed
-    is `closing` [m/s]. It divides only where rounding could change the answer."""
+    """Whether MOBIL permits a vehicle to move in ahead of another. It divides only where rounding could change the
+    answer.
+
+    Parameters
+    ----------
+    v : speed of the vehicle behind [m/s]. closing : its speed minus that of the vehicle that moves in [m/s].
+    far : distance between them [m].
+    """
     most, term = (IMPOSED + _MORE) * far, v * closing * _PER_TWICE_ROOT
     over = GAP + TIME * v + term - most
     band = _ROUNDING * (GAP + TIME * abs(v) + abs(term) + abs(most))

@@ -1,1 +1,1 @@
-"""What it is learned from: transitions, and where they come from."""
+"""Training data: transitions, and their collection and storage."""

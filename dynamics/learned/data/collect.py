@@ -1,4 +1,4 @@
-"""Transitions from an environment under any policy, with a generator of their own."""
+"""Transitions from an environment under any policy, with a separate random generator."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dynamics.state import FloatArray
 __all__ = ["RESET_SEEDS", "Predicts", "RandomPolicy", "collect"]
 
 RESET_SEEDS = 10_000
-"""Episodes are reset with seeds below this: evaluation drives others."""
+"""Bound on the seeds of resets; evaluation uses other seeds."""
 
 
 class Predicts(Protocol):
@@ -29,14 +29,14 @@ class Predicts(Protocol):
 
 
 class RandomPolicy:
-    """Uniform actions from a generator of its own, each held for a random number of decisions.
+    """Uniform actions from a separate generator, each repeated for a random number of decisions.
 
     Parameters
     ----------
     space : a bounded Box, or Discrete.
-    generator : where the numbers come from. `env.action_space` is no such place: highway-env makes a new, unseeded
-        one at each reset.
-    hold : an action is held for 1 to `hold` decisions; 1 draws a new one each time.
+    generator : source of the random numbers. `env.action_space` is none: highway-env makes a new, unseeded one at each
+        reset.
+    hold : an action is repeated for 1 to `hold` decisions; 1 draws a new one each time.
     """
 
     def __init__(self, space: spaces.Space[Any], generator: np.random.Generator, hold: int = 1) -> None:
@@ -50,7 +50,7 @@ class RandomPolicy:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
-        """A random action; the observation is not looked at."""
+        """A random action; the observation is not read."""
         if self._left == 0 or (episode_start is not None and np.any(episode_start)):
             self._left = int(self._generator.integers(1, self._hold + 1))
             self._action = self._draw()
@@ -77,20 +77,20 @@ def collect(
 ) -> Transitions:
     """Drive and record.
 
-    The last transition of an episode that ended by itself (a crash, a success) is left out: what a crash does to the
-    state is no dynamics. One that was cut off by the time limit, or by `episode_steps`, is kept.
+    The last transition of an episode that terminated (a crash, a success) is left out, since the effect of a crash on
+    the state is no dynamics. If the episode was truncated by the time limit or by `episode_steps`, it is kept.
 
     Parameters
     ----------
     env : any Gymnasium environment with a bounded Box or a Discrete action space.
     policy : None for random actions.
-    transitions : how many to record.
-    seed : of the generator behind resets and random actions. The same seed gives the same data.
+    transitions : number to record.
+    seed : of the generator for resets and random actions. The same seed gives the same data.
     state : the state (d,) in the model's units, read from an observation (for parking-v0
         `dynamics.learned.tasks.parking_state.state`).
     dt : duration of a decision [s].
-    episode_steps : cut episodes off after so many decisions; None leaves it to the environment.
-    hold : a random action is held for 1 to `hold` decisions.
+    episode_steps : greatest number of decisions of an episode; None for the environment's limit.
+    hold : a random action is repeated for 1 to `hold` decisions.
 
     Raises
     ------
@@ -136,7 +136,8 @@ def collect(
 
 
 def _encoder(space: spaces.Space[Any]) -> Callable[[Any], FloatArray]:
-    """Actions as rows in [-1, 1]: those of a Box mapped from its bounds and clipped, discrete ones one-hot."""
+    """A function from actions to rows in [-1, 1]: actions of a Box scaled by its bounds and clipped, discrete ones
+    one-hot."""
     if isinstance(space, spaces.Discrete):
         identity = np.eye(int(space.n))
         return lambda action: identity[int(action) - int(space.start)]

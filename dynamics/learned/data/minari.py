@@ -1,8 +1,8 @@
 """Transitions as a Minari data set, and back. Minari is an extra: pip install -e ".[minari]".
 
-An episode of a data set has one observation more than it has actions: here the states, and the last next state. The
-duration of a decision and the origin travel in the description, as JSON; data sets that were made elsewhere have none.
-Data sets lie where Minari keeps them: $MINARI_DATASETS_PATH, or its folder in the home directory.
+An episode of a data set has one observation more than actions: the states, and the last next state. The duration of a
+decision and the origin are stored in the description, as JSON; data sets from other sources have none. Data sets are in
+Minari's local store: $MINARI_DATASETS_PATH, or its folder in the home directory.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from dynamics.state import FloatArray
 __all__ = ["FORMAT", "from_minari", "to_minari"]
 
 FORMAT = "transitions-minari/1"
-"""What the description of a data set made by `to_minari` says it is."""
+"""Value of "format" in the description of a data set made by `to_minari`."""
 
 _NAME = re.compile(r"^([\w-]+/)*[\w-]+-v\d+$")
 
@@ -29,7 +29,7 @@ _NAME = re.compile(r"^([\w-]+/)*[\w-]+-v\d+$")
 def to_minari(data: Transitions, name: str) -> None:
     """Write transitions as a data set in Minari's local store.
 
-    Rewards are zero (they are no part of the dynamics) and every episode ends truncated: what ended it by itself is not
+    Rewards are zero (they are no part of the dynamics) and every episode ends truncated, because terminations are not
     recorded.
 
     Parameters
@@ -39,7 +39,7 @@ def to_minari(data: Transitions, name: str) -> None:
     Raises
     ------
     ConfigError
-        If Minari is not installed, the name is none, or there is a data set of that name.
+        If Minari is not installed, the name is invalid, or a data set of that name exists.
     """
     minari = _minari()
     if not _NAME.match(name):
@@ -81,23 +81,23 @@ def from_minari(
 ) -> Transitions:
     """Read a data set from Minari's local store.
 
-    The last transition of an episode that ended by itself is left out, as in `dynamics.learned.data.collect.collect`.
+    The last transition of an episode that terminated is left out, as in `dynamics.learned.data.collect.collect`.
 
     Parameters
     ----------
     name : the data set's id.
-    dt : duration of a decision [s]; needed where the data set was not made by `to_minari`, and may not differ from what
-        one that was says.
-    state : reads the states (n + 1, d) of an episode from its observations; without it they are the observations, which
-        must then be arrays.
-    download : whether to ask Minari's server for what is not there.
+    dt : duration of a decision [s]. It is needed for data sets that `to_minari` did not write; for others it has to
+        equal the stored value.
+    state : reads the states (n + 1, d) of an episode from its observations. Without it, the observations are the states
+        and have to be arrays.
+    download : whether to download a missing data set from Minari's server.
 
     Raises
     ------
     ConfigError
-        If Minari is not installed, or dt is missing or another.
+        If Minari is not installed, or dt is missing or differs.
     DataError
-        If there is no such data set, or no transitions can be made of it.
+        If there is no such data set, or it yields no transitions.
     """
     minari = _minari()
     try:
@@ -148,7 +148,7 @@ def _minari() -> Any:
 
 
 def _description(dataset: Any) -> dict[str, Any]:
-    """What `to_minari` wrote; nothing for other data sets."""
+    """The description that `to_minari` wrote; empty for other data sets."""
     try:
         values = json.loads(dataset.storage.metadata.get("description") or "")
     except (TypeError, ValueError):
@@ -157,7 +157,8 @@ def _description(dataset: Any) -> dict[str, Any]:
 
 
 def _encoder(space: Any, name: str) -> Callable[[Any], FloatArray]:
-    """Actions (n, …) as rows (n, m) in [-1, 1]: of a bounded Box by its bounds, discrete ones one-hot."""
+    """A function from actions (n, …) to rows (n, m) in [-1, 1]: actions of a bounded Box scaled by its bounds, discrete
+    ones one-hot."""
     from gymnasium import spaces
 
     if isinstance(space, spaces.Discrete):

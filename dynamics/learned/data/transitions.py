@@ -1,7 +1,7 @@
-"""Recorded transitions: what a dynamics model is learned from and judged by.
+"""Recorded transitions: the training and test data of a dynamics model.
 
-A transition is (state, action, next state) of one decision. Those of one episode stand together and in order, so that
-several of them in a row are an open-loop trajectory.
+A transition is (state, action, next state) of one decision. Transitions of one episode are consecutive and in order, so
+that several in a row are an open-loop trajectory.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from dynamics.state import FloatArray
 __all__ = ["FORMAT", "Transitions"]
 
 FORMAT = "transitions/1"
-"""What the manifest inside a file of transitions says it is."""
+"""Value of "format" in the manifest inside a file of transitions."""
 
 _ARRAYS = ("states", "actions", "next_states", "episodes")
 
@@ -32,11 +32,11 @@ class Transitions:
 
     Attributes
     ----------
-    states, next_states : shape (n, d), in the units of the model that learns from them.
-    actions : shape (n, m), normalised to [-1, 1] (one-hot where the environment's actions are discrete).
-    episodes : which episode each belongs to, shape (n,), never decreasing.
+    states, next_states : shape (n, d), in the units of the model.
+    actions : shape (n, m), normalised to [-1, 1] (one-hot for discrete actions).
+    episodes : the episode of each transition, shape (n,), never decreasing.
     dt : duration of a decision [s].
-    origin : how they came about; kept in the manifest of a saved file.
+    origin : source of the data; stored in the manifest of a saved file.
 
     Raises
     ------
@@ -86,7 +86,7 @@ class Transitions:
         return len(self.states)
 
     def __add__(self, other: Transitions) -> Transitions:
-        """Both, one after the other, as different episodes.
+        """Concatenate two sets of transitions, with different episodes.
 
         Raises
         ------
@@ -112,22 +112,23 @@ class Transitions:
         return self.states.shape[1], self.actions.shape[1]
 
     def take(self, rows: Any) -> Transitions:
-        """Some of the transitions: an index array or mask that cuts no hole into an episode.
+        """A subset of the transitions: an index array or a mask that leaves no gap in an episode.
 
         Raises
         ------
         DataError
-            If nothing or a hole is left.
+            If the subset is empty or has a gap.
         """
         states, actions, after, episodes = (getattr(self, name)[rows] for name in _ARRAYS)
         return Transitions(states, actions, after, episodes, self.dt, self.origin)
 
     def split(self, held_out: float = 0.2, seed: int = 0) -> tuple[Transitions, Transitions]:
-        """Training and held-out part; an episode is in one of them as a whole.
+        """Training and held-out part; each episode is in one of them as a whole.
 
         Parameters
         ----------
-        held_out : share of the episodes that is held out; at least one is, and one is not.
+        held_out : share of the episodes in the held-out part; at least one episode is in each part.
+        seed : of the random choice.
 
         Raises
         ------
@@ -144,7 +145,7 @@ class Transitions:
         return self.take(~out), self.take(out)
 
     def windows(self, horizon: int) -> NDArray[np.int64]:
-        """First rows of all runs of `horizon` transitions within an episode; they may overlap.
+        """First rows of all runs of `horizon` transitions within an episode. Runs may overlap.
 
         Raises
         ------
@@ -179,7 +180,7 @@ class Transitions:
 
     @classmethod
     def load(cls, path: str | Path) -> Transitions:
-        """Read what `save` wrote; nothing pickled is ever read.
+        """Read a file that `save` wrote, without unpickling.
 
         Raises
         ------

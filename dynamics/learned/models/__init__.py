@@ -1,1 +1,1 @@
-"""What is learned: models that are linear in their structure, and what else a planner may ask."""
+"""Learned models, linear in their structure, and the interface of dynamics models for planners."""

@@ -1,16 +1,16 @@
-r"""The ego's own frame: where a vehicle is and where it points does not change how it moves.
+"""The ego's body frame: the motion of a vehicle does not depend on its position and heading.
 
 Notation
 --------
-A state holds one position p, any number of vectors w (velocity, heading, …) and plain numbers; q = (c, s) is the unit
-vector of the heading and R = [[c, -s], [s, c]]. The *body-frame* state z of a state x about itself is
+A state contains one position p, any number of vectors w (velocity, heading, …) and plain numbers; q = (c, s) is the
+unit vector of the heading and R = [[c, -s], [s, c]]. The *body-frame* state z of a state x about itself is
 
     z = (0, R' w_1, R' w_2, …, numbers),        R' q = (1, 0),
 
-and a body-frame state z+ is, in the world again, x+ = (p + R z_p, R z_w, numbers). A function of z alone, taken back
-that way, is equivariant under every rigid motion of the plane (SE(2)).
+and a body-frame state z+ is, in the world again, x+ = (p + R z_p, R z_w, numbers). A function of z alone, transformed
+back that way, is equivariant under every rigid motion of the plane (SE(2)).
 
-Every function takes numpy arrays and torch tensors alike; shapes are (..., d).
+All functions take numpy arrays and torch tensors; shapes are (..., d).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ __all__ = ["Layout"]
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Which columns of a state are geometry.
+    """The columns of a state that are positions, headings and vectors.
 
     Attributes
     ----------
@@ -48,12 +48,12 @@ class Layout:
             raise ConfigError(f"a layout has pairs of columns, each column once and none negative; got {pairs}")
 
     def check(self, state_dim: int) -> None:
-        """Refuse a layout that needs more columns than a state has.
+        """Check that a state has all columns of the layout.
 
         Raises
         ------
         ConfigError
-            If it does.
+            If it has not.
         """
         highest = max(max(pair) for pair in (self.position, self.heading, *self.vectors))
         if highest >= state_dim:
@@ -61,7 +61,7 @@ class Layout:
 
     @classmethod
     def of(cls, position: Sequence[int], heading: Sequence[int], vectors: Sequence[Sequence[int]]) -> Layout:
-        """From lists, as a JSON file has them."""
+        """From lists, as in a JSON file."""
         pairs = [(int(a), int(b)) for a, b in vectors]
         return cls((int(position[0]), int(position[1])), (int(heading[0]), int(heading[1])), tuple(pairs))
 
@@ -81,7 +81,7 @@ class Layout:
         return self._turn(other, c, -s, before=x)
 
     def to_world(self, x: Any, z: Any) -> Any:
-        """A body-frame state z in the world, the frame being that of the state x; the inverse of `about`."""
+        """A body-frame state z in the world frame, for the body frame of state x; the inverse of `about`."""
         c, s = self._direction(x)
         return self._turn(z, c, s, after=x)
 
@@ -92,7 +92,7 @@ class Layout:
         return c / length, s / length
 
     def _turn(self, x: Any, c: Any, s: Any, before: Any = None, after: Any = None) -> Any:
-        """All vectors turned; the position relative to that of `before`, or added to that of `after`."""
+        """Rotate all vectors. The position is taken relative to that of `before`, or added to that of `after`."""
         pairs = (self.position, self.heading, *self.vectors)
         first, second = (x[..., [pair[i] for pair in pairs]] for i in (0, 1))
         if before is not None:
@@ -125,7 +125,7 @@ def _columns(x: Any) -> range:
 
 
 def _join(x: Any, parts: list[Any]) -> Any:
-    """Side by side, in the library of x; no writing in place, for the sake of gradients."""
+    """Concatenate along the last axis, in the library of x; without in-place writes, for gradients."""
     if isinstance(x, np.ndarray):
         return np.concatenate(parts, axis=-1)
     import torch

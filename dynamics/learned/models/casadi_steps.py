@@ -1,15 +1,16 @@
-r"""A learned body-frame model as CasADi expressions: what a program that linearises needs of it.
+"""A learned body-frame model as CasADi expressions, for programs that linearise it.
 
 Notation
 --------
 State (x, y, psi, v) in the order of `dynamics.state.State`, input (a, delta): acceleration [m/s^2], front wheel angle
-[rad], as for `dynamics.vehicle.bicycle.step_expression`. With z = (0, 0, v, 0, 1, 0) the state of the model about
-itself, u the normalised input and d = A(z, u) z + B(z, u) u,
+[rad], as for `dynamics.vehicle.bicycle.step_expression`. With z = (0, 0, v, 0, 1, 0) the body-frame state of the model,
+u the normalised input and d = A(z, u) z + B(z, u) u,
 
     z+ = z + dt d        psi+ = psi + atan2(z+_sin, z+_cos)        v+ = (z+_vx z+_cos + z+_vy z+_sin) / |z+_heading|
 
-and z+ is turned by psi and moved to (x, y). It is `LinearStructuredModel.step`, in double precision, between states
-whose velocity points along the heading; the speed after is the part of the velocity along the new heading.
+and z+ is rotated by psi and translated to (x, y). It equals `LinearStructuredModel.step`, in double precision, between
+states whose velocity points along the heading. The speed afterwards is the component of the velocity along the new
+heading.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from dynamics.vehicle.actuators import Actuators
 __all__ = ["TOLERANCE", "LearnedStep", "LearnedSteps", "actuator_notes"]
 
 TOLERANCE = 1e-4
-"""Agreement with the model, which computes in single precision, relative to 1 or the state's greatest entry."""
+"""Greatest difference to the model, which computes in single precision, relative to 1 or the state's greatest entry."""
 
 _STATE, _INPUTS = 6, 2
 
@@ -39,12 +40,12 @@ _STATE, _INPUTS = 6, 2
 class LearnedStep:
     """One decision of a learned model of driving, as an expression.
 
-    Two objects are never equal: programs that are compiled for one are not taken for another's.
+    Two objects are never equal, so that a program compiled for one is not used for another.
 
     Parameters
     ----------
-    model : in body frame, with the state of `dynamics.learned.tasks.driving_state` (and `parking_state` there).
-    actuators : the throttle and steering that its normalised actions stand for.
+    model : in body frame, with the state of `dynamics.learned.tasks.driving_state` or `parking_state`.
+    actuators : the throttle and steering of its normalised actions.
 
     Attributes
     ----------
@@ -74,11 +75,11 @@ class LearnedStep:
         self._body = _body_function(model, actuators)
 
     def __deepcopy__(self, memo: Any) -> LearnedStep:
-        """Itself: nothing in it ever changes."""
+        """The object itself, as it is immutable."""
         return self
 
     def held(self, state: ca.SX, control: ca.SX, duration: float) -> ca.SX:
-        """State (4, 1) after an input (2, 1) has been held for `duration` [s], (4, 1).
+        """State (4, 1) after a constant input (2, 1) for `duration` [s], (4, 1).
 
         Raises
         ------
@@ -105,12 +106,12 @@ class LearnedStep:
 
     @classmethod
     def load(cls, folder: str | Path) -> LearnedStep:
-        """From a folder that `dynamics.learned.models.files.save_model` wrote with `actuator_notes` among its notes.
+        """Load a folder that `dynamics.learned.models.files.save_model` wrote, with `actuator_notes` among its notes.
 
         Raises
         ------
         ModelError
-            If it is no such folder, damaged, or says nothing of its actuators.
+            If it is no such folder, is damaged, or has no notes about its actuators.
         """
         notes = read_config(folder).get("notes")
         try:
@@ -129,11 +130,16 @@ class LearnedStep:
 
 
 class LearnedSteps:
-    """Several steps of different durations: an input is held by the longest that fits.
+    """Several steps of different durations. An input is applied with the longest step that divides its duration.
 
     Parameters
     ----------
     steps : at least one.
+
+    Raises
+    ------
+    ModelError
+        If there is none.
     """
 
     def __init__(self, *steps: LearnedStep) -> None:
@@ -142,7 +148,7 @@ class LearnedSteps:
         self.steps = tuple(sorted(steps, key=lambda step: -step.dt))
 
     def __deepcopy__(self, memo: Any) -> LearnedSteps:
-        """Itself: nothing in it ever changes."""
+        """The object itself, as it is immutable."""
         return self
 
     def held(self, state: ca.SX, control: ca.SX, duration: float) -> ca.SX:
@@ -151,7 +157,7 @@ class LearnedSteps:
         Raises
         ------
         ConfigError
-            If the duration is no whole number of any step's decisions.
+            If the duration is no whole number of decisions of any step.
         """
         for step in self.steps:
             if _times(duration, step.dt) is not None:
@@ -161,25 +167,26 @@ class LearnedSteps:
 
 
 def _times(duration: float, dt: float) -> int | None:
-    """How often dt makes up the duration, at least once; None where it does not."""
+    """Number of decisions of `dt` in a duration, at least 1; None if it is not a whole number."""
     count = round(duration / dt)
     return count if count >= 1 and abs(count * dt - duration) < 1e-6 * duration else None
 
 
 def actuator_notes(actuators: Actuators) -> Mapping[str, Any]:
-    """What a stored model has to say about its actions."""
+    """The notes about the actuators for a stored model."""
     return {"actuators": {"acceleration": list(actuators.acceleration), "steering": list(actuators.steering)}}
 
 
 def _body_function(model: LinearStructuredModel, actuators: Actuators) -> ca.Function:
-    """(v, a, delta) to (way ahead, way across, turn, speed) in the frame of the heading before."""
+    """(v, a, delta) to (displacement ahead, displacement to the side, turn, speed) in the frame of the heading
+    before."""
     weights = {name: part.detach().double().numpy() for name, part in model.state_dict().items()}
     d, m = model.state_dim, model.action_dim
     v, inputs = ca.SX.sym("v"), ca.SX.sym("u", m)
     z: list[Any] = [0.0, 0.0, v, 0.0, 1.0, 0.0]
     u = [2 * (inputs[i] - low) / (high - low) - 1 for i, (low, high) in enumerate(_ranges(actuators))]
     seen = (ca.vertcat(*(z[i] for i in model.seen), *u) - weights["mean"]) / weights["std"]
-    # A multiplies what is neither position nor the heading's sine.
+    # A multiplies neither the position nor the sine of the heading.
     columns = weights["column_scale"]
     zero = {*model.config.layout.position, model.config.layout.heading[1]}
     multiplied = ca.vertcat(*(z[i] for i in range(d) if i not in zero), *u) / columns
@@ -187,7 +194,7 @@ def _body_function(model: LinearStructuredModel, actuators: Actuators) -> ca.Fun
     for member in range(model.config.members):
         parts = [_network(model, weights, j, member, seen) for j in range(len(model.networks))]
         widths = [part.numel() // d for part in parts]
-        # Row-major, as torch unflattens.
+        # Row-major, as `unflatten` of torch.
         a_and_b = ca.horzcat(*(ca.reshape(part, w, d).T for part, w in zip(parts, widths, strict=True)))
         rates = rates + ca.mtimes(a_and_b, multiplied)
     after = ca.vertcat(*z) + model.dt * weights["rate_scale"] * rates / model.config.members

@@ -1,4 +1,4 @@
-"""What a learned model is, apart from its weights."""
+"""Configuration of a learned model."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ ACTIVATIONS = ("relu", "silu", "tanh")
 
 @dataclass(frozen=True, slots=True)
 class ModelConfig:
-    """What a model is, apart from its weights.
+    """Configuration of a learned model.
 
     Attributes
     ----------
     state_dim, action_dim : d and m.
     dt : duration of a decision [s].
     form : "body" or "plain".
-    hide_position : plain form: whether A ignores the position too (in body frame there is none).
+    hide_position : plain form: whether A ignores the position too (the body frame has none).
     hidden : widths of the hidden layers of the networks.
     shared : whether A and B are outputs of one network, or of two.
     activation : one of `ACTIVATIONS`.
     members : size E of the ensemble.
     units : fixed scales of the state, shape (d,), in place of a fitted normalisation; None fits one.
     unit_heading : whether the heading is scaled to length 1 after each step.
-    layout : which columns are geometry.
+    layout : the columns of positions, headings and vectors.
     seed : of the initial weights.
 
     Raises
@@ -83,7 +83,7 @@ class ModelConfig:
         Raises
         ------
         ConfigError
-            If they are not those of a configuration.
+            If they do not describe a configuration.
         """
         if not isinstance(values, dict) or set(values) != set(cls.__slots__):
             have = sorted(values) if isinstance(values, dict) else type(values).__name__

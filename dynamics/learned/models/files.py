@@ -1,4 +1,4 @@
-"""Models on disk: a folder with config.json and weights.pt. Nothing pickled but tensors is ever read."""
+"""Models on disk: a folder with config.json and weights.pt. Only tensors are unpickled."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dynamics.learned.models.linear import LinearStructuredModel, ModelConfig
 __all__ = ["CONFIG_FILE", "FORMAT", "WEIGHTS_FILE", "load_model", "read_config", "save_model"]
 
 FORMAT = "linear-structured-model/1"
-"""What config.json says the folder is."""
+"""Value of the key "format" in config.json."""
 CONFIG_FILE, WEIGHTS_FILE = "config.json", "weights.pt"
 
 
@@ -26,8 +26,8 @@ def save_model(model: LinearStructuredModel, folder: str | Path, notes: Mapping[
 
     Parameters
     ----------
-    folder : made if it is missing; a model in it is replaced.
-    notes : JSON values to keep with it, such as how it was trained.
+    folder : created if missing; a model in it is replaced.
+    notes : JSON values to store with it, such as the parameters of its training.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def read_config(folder: str | Path) -> dict[str, Any]:
     Raises
     ------
     ModelError
-        If it is missing, damaged or of something else.
+        If it is missing, damaged or has another format.
     """
     path = Path(folder, CONFIG_FILE)
     try:
@@ -73,7 +73,7 @@ def read_config(folder: str | Path) -> dict[str, Any]:
 
 
 def load_model(folder: str | Path) -> LinearStructuredModel:
-    """Read what `save_model` wrote.
+    """Read a model that `save_model` wrote.
 
     Raises
     ------

@@ -1,19 +1,19 @@
-r"""A learned model that is linear in its structure: x+ = x + dt (A(x, u) x + B(x, u) u), A and B from networks.
+"""A learned model that is linear in its structure: x+ = x + dt (A(x, u) x + B(x, u) u), A and B from networks.
 
 Notation
 --------
 State x (d), normalised action u (m), decision dt [s]; E members of an ensemble, each with networks for A and B.
 
-- *plain*: A and B come from networks that see all of x but the position, and multiply x itself. `hide_position` also
-  takes the position's columns out of A. With `units` instead of a fitted normalisation and one member, it is the
-  model of HighwayEnv's parking notebook (Leurent, 2020), where A multiplies the absolute position.
+- *plain*: the networks for A and B read all of x except the position; A and B multiply x itself. `hide_position` also
+  removes the position's columns from A. With `units` instead of a fitted normalisation and one member, it is the model
+  of HighwayEnv's parking notebook (Leurent, 2020), where A multiplies the absolute position.
 - *body*: the same in the ego's frame (`dynamics.learned.models.body_frame`): z+ = z + dt (A(z, u) z + B(z, u) u), then
-  back to the world. Equivariant under rigid motions of the plane. In the world's coordinates it is of the plain form
+  back to the world. It is equivariant under rigid motions of the plane. In world coordinates it is of the plain form
   again, with R A R' and R B.
 
-After the step the heading is scaled back to unit length (not in the notebook's model). The ensemble's prediction is
-the mean of its members' A and B; their spread is the disagreement. Normalisation is inside: networks see
-(x - mean) / std and answer in units of the usual rate of change, and A, B come out in the units of x.
+After the step the heading is scaled to unit length (not in the notebook's model). The ensemble's prediction is the mean
+of its members' A and B; their spread is the disagreement. The model contains its normalisation: networks read (x -
+mean) / std and return values in units of the usual rate of change; A and B are in the units of x.
 """
 
 from __future__ import annotations
@@ -62,12 +62,12 @@ class _Ensemble(nn.Module):
 class LinearStructuredModel(nn.Module):
     """x+ = x + dt (A(x, u) x + B(x, u) u); see the head of this module.
 
-    A new one has random weights and no normalisation: `dynamics.learned.training.fit.fit` gives a trained one,
+    A new model has random weights and no normalisation. `dynamics.learned.training.fit.fit` returns a trained one,
     `dynamics.learned.models.files.load_model` a stored one.
 
     Parameters
     ----------
-    config : what it is.
+    config : its configuration.
     """
 
     mean: Tensor
@@ -100,7 +100,7 @@ class LinearStructuredModel(nn.Module):
         self.register_buffer("rate_scale", units.clone())
 
     def normalise(self, states: Tensor, actions: Tensor, next_states: Tensor) -> None:
-        """Take the normalisation from data, (n, d), (n, m), (n, d); a model with fixed `units` keeps them."""
+        """Fit the normalisation to data, (n, d), (n, m), (n, d); a model with fixed `units` keeps them."""
         if self.config.units is not None:
             return
         config, pairs = self.config, (self.config.layout.heading, *self.config.layout.vectors)
@@ -113,12 +113,12 @@ class LinearStructuredModel(nn.Module):
         self.rate_scale.copy_(rate)
 
     def _local(self, states: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
-        """What A multiplies (..., d), and what the networks see (..., inputs)."""
+        """The vector that A multiplies (..., d), and the inputs of the networks (..., inputs)."""
         z = self.config.layout.to_body(states) if self.config.form == "body" else states
         return z, torch.cat([z[..., self.seen], actions], dim=-1)
 
     def _matrices(self, seen: Tensor) -> Tensor:
-        """Each member's A (the columns that it multiplies) and B side by side, (E, n, d, k + m), in its own frame."""
+        """Each member's A (its nonzero columns) and B side by side, (E, n, d, k + m), in the frame of its form."""
         seen = (seen - self.mean) / self.std
         raw = [network(seen).unflatten(-1, (self.state_dim, -1)) for network in self.networks]
         return (raw[0] if len(raw) == 1 else torch.cat(raw, dim=-1)) * (self.rate_scale[:, None] / self.column_scale)
@@ -129,6 +129,7 @@ class LinearStructuredModel(nn.Module):
         return self._advance(states, z, actions, self._matrices(seen))
 
     def _advance(self, states: Tensor, z: Tensor, actions: Tensor, matrices: Tensor) -> Tensor:
+        """The next states for given A and B."""
         out = z + self.dt * (matrices * torch.cat([z[..., self._multiplied], actions], dim=-1)[..., None, :]).sum(-1)
         layout = self.config.layout
         if self.config.form == "body":
@@ -179,7 +180,7 @@ class LinearStructuredModel(nn.Module):
             return torch.stack(out, dim=1).numpy() if out else np.empty((len(now), 0, self.state_dim), np.float32)
 
     def disagreement(self, states: Any, actions: Any) -> Float32Array:
-        """How far the members' one-step predictions lie apart: standard deviation over the members, (n, d).
+        """Disagreement of the members' one-step predictions: standard deviation over the members, (n, d).
 
         Zero for a single member. Raises `ModelError` if a shape is wrong.
         """
@@ -190,8 +191,8 @@ class LinearStructuredModel(nn.Module):
     def matrices(self, state: Any, action: Any) -> tuple[FloatArray, FloatArray]:
         """A (d, d) and B (d, m) of the ensemble at one point, in the world frame: x+ = x + dt (A x + B u).
 
-        The equation holds up to the heading's scaling to unit length. Columns of A for what it does not multiply
-        are zero.
+        The equation holds before the heading is scaled to unit length. Columns of A for entries that it does not
+        multiply are zero.
 
         Raises
         ------
@@ -222,7 +223,7 @@ class LinearStructuredModel(nn.Module):
         protocol.check_batch(self, x[None], u[None])
 
         with torch.enable_grad():
-            # As many copies of the point as there are outputs, each with the gradient of its own.
+            # One copy of the point for each output, with the gradient of that output.
             points = [self._tensor(np.tile(part, (self.state_dim, 1))).requires_grad_() for part in (x, u)]
             gradients = torch.autograd.grad(self(*points).diagonal().sum(), points)
         f, g = (part.double().numpy() for part in gradients)
@@ -237,14 +238,22 @@ class LinearStructuredModel(nn.Module):
         return all(bool(torch.isfinite(part).all()) for part in self.state_dict().values())
 
     def require_finite(self) -> None:
-        """Raise `ModelError` if a weight is not finite."""
+        """Check that all weights are finite.
+
+        Raises
+        ------
+        ModelError
+            If one is not.
+        """
         if not self.is_finite:
             raise ModelError("the model has weights that are not finite; its training diverged or its file is damaged")
 
 
 def _scales(x: Tensor, pairs: Sequence[tuple[int, int]] = ()) -> Tensor:
-    """Root mean square of each column (n, d); that of its partner for a column of a vector that is next to nothing
-    beside it, and 1 for what is 0: what never varies (or by rounding alone) must not be blown up.
+    """Root mean square of each column (n, d).
+
+    A column that is tiny compared with its partner of the same vector gets the partner's value. A zero gets 1. So
+    columns that are constant, except for rounding, are not amplified.
     """
     scale = x.square().mean(0).sqrt()
     for a, b in (*pairs, *((b, a) for a, b in pairs)):

@@ -1,19 +1,20 @@
-r"""Macro-steps: what an action held for several decisions leads to, as one polynomial in numpy, for planners.
+"""Macro-steps: the result of an action repeated for several decisions as one polynomial in numpy, for planners.
 
 Notation
 --------
-In the ego's frame the k-decision map of a body-form model depends only on what its networks see, w = (body-frame
-velocity, …), and on the held action u. For each k that is asked for, polynomials are fitted by least squares to the
-model's own rollouts, of the lowest total degree that comes within a tolerance,
+In the ego's frame the k-decision map of a body-form model depends only on the inputs of its networks: w = (body-frame
+velocity, …), and the repeated action u. For each chosen k, polynomials are fitted by least squares to the model's own
+rollouts, of the lowest total degree within a tolerance,
 
     (w, u) -> (w_k - w, e_k, theta_k):
 
-the change of w, seen from the frame *after* the block, the turn theta_k [rad], and the way e_k [m], seen from half-way
-through the turn, where it is nearly straight ahead (so that low degrees do). As sums over phi_i(w) c_ij psi_j(u) they
-need one matrix product for the actions of all blocks and a short sum for each block. Only w goes from block to block;
-headings are then cumulative sums of the turns, positions of the ways, turned by the headings half-way. So the
-result is as equivariant under rigid motions as the model. Beyond the range that w was fitted in, phi stays at the
-range's end. How far the result is from the model is measured on fresh rollouts and kept as `Agreement`.
+the change of w, in the frame *after* the block; the turn theta_k [rad]; and the displacement e_k [m], in the frame
+half-way through the turn, where it is nearly straight ahead (so that low degrees suffice). As sums over phi_i(w) c_ij
+psi_j(u) they need one matrix product for the actions of all blocks and a short sum for each block. Only w passes from
+block to block. Headings are then cumulative sums of the turns, positions cumulative sums of the displacements, rotated
+by the headings half-way. So the result is as equivariant under rigid motions as the model. Outside the fitted range of
+w, phi is evaluated at the end of the range. The distance of the result from the model is measured on new rollouts and
+stored as `Agreement`.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ Float32Array = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """How far a polynomial is from the model after one block, on rollouts that it was not fitted to.
+    """Distance of a polynomial from the model after one block, on rollouts that are not in its fit.
 
     Attributes
     ----------
@@ -55,10 +56,11 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MacroStep:
-    """One polynomial: sums over phi_i(w) c_ij psi_j(u), with w scaled to [-1, 1] and kept there.
+    """One polynomial: sums over phi_i(w) c_ij psi_j(u), with w scaled and clipped to [-1, 1].
 
     Attributes
     ----------
+    phi, psi : the monomials of w and of u.
     gain, shift : the scaling, (k, 1).
     coefficients : ((k + 3) * phis, psis).
     """
@@ -70,14 +72,14 @@ class MacroStep:
     coefficients: Float32Array
 
     def acting(self, u: Float32Array, shape: tuple[int, ...]) -> Float32Array:
-        """The polynomials in w that the actions (m, points) leave, (k + 3, phis, *shape)."""
+        """The polynomials in w for given actions (m, points), (k + 3, phis, *shape)."""
         found: Float32Array = (self.coefficients @ self.psi(u)).reshape(
             len(self.coefficients) // len(self.phi), len(self.phi), *shape
         )
         return found
 
     def __call__(self, acting: Float32Array, w: Float32Array) -> Float32Array:
-        """(k + 3, phis, n) and (k, n) to (k + 3, n)."""
+        """Evaluate the polynomials of `acting`: (k + 3, phis, n) and w (k, n) to (k + 3, n)."""
         scaled = w * self.gain
         scaled += self.shift
         np.minimum(scaled, 1, out=scaled)
@@ -91,9 +93,9 @@ class DistilledModel:
 
     Attributes
     ----------
-    config : of the model that it stands for.
-    holds : numbers of decisions with a polynomial of their own.
-    agreement : for each of them, how far it is from the model.
+    config : of the original model.
+    holds : numbers of decisions with a polynomial.
+    agreement : for each of them, its distance from the model.
     """
 
     def __init__(
@@ -121,7 +123,7 @@ class DistilledModel:
     def rollout_held(self, states: Any, actions: Any, hold: int) -> Float32Array:
         """States at the end of each block: (n, d) and (n, blocks, m), each held `hold` times, to (n, blocks, d).
 
-        A hold without a polynomial is put together from those that have one.
+        A number of decisions without a polynomial is composed of those with one.
 
         Raises
         ------
@@ -149,7 +151,7 @@ class DistilledModel:
         return self._compose(states, seen, moved)[calls - 1 :: calls].transpose(1, 0, 2)
 
     def _seen_of(self, states: Float32Array) -> Float32Array:
-        """The part of the body-frame states that the polynomials see, (k, n): `Layout.to_body` without the rest."""
+        """The part of the body-frame states that the polynomials depend on, (k, n); see `Layout.to_body`."""
         heading = states[:, self.config.layout.heading]
         c, s = (heading / np.sqrt((heading * heading).sum(axis=1, keepdims=True))).T
         body = {i: states[:, i] for i in self._numbers}
@@ -159,7 +161,7 @@ class DistilledModel:
         return np.stack([body[i] for i in self._seen])
 
     def _compose(self, states: Float32Array, seen: Float32Array, moved: Float32Array) -> Float32Array:
-        """World states (calls, n, d) of body-frame ones: turns and ways add up."""
+        """World states (calls, n, d) from body-frame ones, by cumulative sums of turns and displacements."""
         layout, (ahead, aside, turns) = self.config.layout, moved
         headings = np.arctan2(states[:, layout.heading[1]], states[:, layout.heading[0]]) + np.cumsum(turns, axis=0)
         half = headings - turns / 2
@@ -183,7 +185,7 @@ def turned(angle: Any, x: Any, y: Any) -> tuple[Any, Any]:
 
 
 def _parts(hold: int, holds: Sequence[int]) -> list[int]:
-    """A hold as a sum of those that there are polynomials for, the largest first."""
+    """A number of decisions as a sum of those with a polynomial, the largest first."""
     parts: list[int] = []
     for part in sorted(holds, reverse=True):
         parts += [part] * (hold // part)

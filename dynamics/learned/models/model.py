@@ -1,9 +1,9 @@
-r"""What a planner may ask of a dynamics model, and the rollouts that follow from one step alone.
+"""Interface of a dynamics model for a planner, and rollouts that need only its `step`.
 
 Notation
 --------
-n states of width d, actions of width m normalised to [-1, 1] as in the environment's Box, a horizon of H decisions.
-All arrays are numpy, batch first; what comes out has the floating type that the model computes in.
+n states of width d, actions of width m normalised to [-1, 1] as in the environment's Box, a horizon of H decisions. All
+arrays are numpy, batch first. Results have the floating type in which the model computes.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ __all__ = ["DynamicsModel", "HeldModel", "StepModel", "check_batch", "rollout", 
 
 
 class StepModel(Protocol):
-    """The least that a model can be."""
+    """The smallest interface of a model."""
 
     state_dim: int
     action_dim: int
@@ -29,7 +29,7 @@ class StepModel(Protocol):
 
 
 class DynamicsModel(StepModel, Protocol):
-    """A model that also rolls out whole action sequences (with `rollout` below if it knows nothing faster)."""
+    """A model that also rolls out whole action sequences. If it has no faster way, it uses `rollout` below."""
 
     def rollout(self, states: Any, actions: Any) -> Any:
         """States after each decision: (n, d) and (n, H, m) to (n, H, d); `[:, -1]` is the last."""
@@ -38,7 +38,7 @@ class DynamicsModel(StepModel, Protocol):
 
 @runtime_checkable
 class HeldModel(Protocol):
-    """A model with a fast answer for actions that are held over several decisions."""
+    """A model with a fast rollout of actions that are repeated for several decisions."""
 
     def rollout_held(self, states: Any, actions: Any, hold: int) -> Any:
         """States at the END of each block: (n, d) and (n, blocks, m), each held `hold` times, to (n, blocks, d)."""
@@ -46,7 +46,7 @@ class HeldModel(Protocol):
 
 
 def check_batch(model: StepModel, states: Any, actions: Any, sequences: bool = False) -> None:
-    """Refuse arrays that are no batch for this model.
+    """Check the shapes of a batch for a model.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def check_batch(model: StepModel, states: Any, actions: Any, sequences: bool = F
     Raises
     ------
     ModelError
-        If a shape is wrong; the message says which would have been right.
+        If a shape is wrong; the message states the correct one.
     """
     states, actions, expected = np.shape(states), np.shape(actions), 3 if sequences else 2
     if len(states) != 2 or states[1] != model.state_dim:
@@ -84,7 +84,7 @@ def rollout(model: StepModel, states: Any, actions: Any) -> Any:
 def rollout_held(model: StepModel, states: Any, actions: Any, hold: int) -> Any:
     """States at the end of each block: (n, d) and (n, blocks, m), each held `hold` times, to (n, blocks, d).
 
-    A `HeldModel` answers by itself, another by repeating its step.
+    A `HeldModel` uses its own method, another model repeated steps.
 
     Raises
     ------

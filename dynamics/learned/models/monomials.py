@@ -14,14 +14,14 @@ __all__ = ["Monomials"]
 class Monomials:
     """All monomials of `count` variables up to a total degree, by ascending degree.
 
-    Each of a degree is one of the degree below times a variable. They are kept in such an order that the factors for
-    one variable are a single slice: a degree costs one numpy call for each variable.
+    Each monomial is one of the degree below times a variable. In the order used here, the factors for one variable are
+    a single slice, so a degree costs one numpy call for each variable.
 
     Parameters
     ----------
     count : number of variables.
     degree : greatest total degree.
-    linear : variables that appear in the power 0 or 1 only.
+    linear : variables with a power of 0 or 1 only.
 
     Examples
     --------

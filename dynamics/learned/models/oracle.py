@@ -1,16 +1,16 @@
-r"""The true bicycle of highway-env as a dynamics model: what a planner on a learned model is measured against.
+"""The true bicycle of highway-env as a dynamics model: the reference for planners with a learned model.
 
 Notation
 --------
-State (x, y [m], vx, vy [m/s], cos psi, sin psi), as in `parking-v0` without its scales; the speed is
-v = vx cos psi + vy sin psi. A decision lasts F frames of dt seconds with one input (a, delta); with the slip angle
-beta = atan(tan(delta) / 2) and c = sin(beta) / (L/2), highway-env's Euler frames add up to
+State (x, y [m], vx, vy [m/s], cos psi, sin psi), as in `parking-v0` without its scales; the speed is v = vx cos psi +
+vy sin psi. A decision lasts F frames of dt seconds with one input (a, delta). With the slip angle beta =
+atan(tan(delta) / 2) and c = sin(beta) / (L/2), highway-env's Euler frames add up to
 
     v_k   = v_0 + k a dt              psi_k = psi_0 + c dt (v_0 + ... + v_{k-1})
     x_k   = x_0 + dt (v_0 cos(psi_0 + beta) + ... + v_{k-1} cos(psi_{k-1} + beta)),    y_k with the sine
 
-so that a rollout of any length is three cumulative sums. Beyond `bicycle.MAX_SPEED` the acceleration is limited and
-the sums do not hold: those rollouts go through the compiled frames of `dynamics.vehicle.rollouts`.
+so that a rollout of any length is three cumulative sums. Beyond `bicycle.MAX_SPEED` the acceleration is limited and the
+sums do not hold; those rollouts use the compiled frames of `dynamics.vehicle.rollouts`.
 Source: `Vehicle.step` of highway-env 1.12 (see `dynamics.vehicle.bicycle`).
 """
 
@@ -35,10 +35,10 @@ class BicycleModel:
 
     Parameters
     ----------
-    actuators : what the normalised actions stand for; actions beyond [-1, 1] are clipped, as by the environment.
+    actuators : range of the normalised actions; actions beyond [-1, 1] are clipped, as by the environment.
     dt : duration of a simulation frame [s].
     frames : simulation frames in a decision.
-    dtype : floating type to compute in.
+    dtype : floating type of the computation.
 
     Examples
     --------
@@ -66,7 +66,7 @@ class BicycleModel:
         Raises
         ------
         ModelError
-            If its actions are of another kind, or bound the speed.
+            If its actions are of another kind, or limit the speed.
         """
         base = getattr(env, "unwrapped", env)
         kind = base.action_type
@@ -119,7 +119,7 @@ class BicycleModel:
         return out
 
     def _limited(self, x: Any, y: Any, heading: Any, speed: Any, inputs: Any, frames: int) -> Any:
-        """The same frame by frame, with the limits beyond `MAX_SPEED`."""
+        """The rollout frame by frame, with the limits beyond `MAX_SPEED`."""
         if self._rollouts is None:
             self._rollouts = Rollouts(self.dt)
         start = np.stack([x, y, heading, speed], axis=-1).astype(float)

@@ -1,1 +1,1 @@
-"""What is particular to parking, driving, the highway and the roundabout."""
+"""Learned models and data collection for parking, driving, the highway and the roundabout."""

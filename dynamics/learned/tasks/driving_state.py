@@ -1,8 +1,8 @@
-r"""Continuous driving at highway speeds: the state of the ego, what shows it, and random driving to learn from.
+"""Continuous driving at highway speeds: the state of the ego, its observation, and random driving as training data.
 
 The state has the six columns of `dynamics.learned.tasks.parking_state.Parking`, in SI units and the world frame:
-position [m], velocity [m/s] and heading as (cos, sin). `OBSERVATION` is the observation of highway-env that shows it,
-for any of its roads.
+position [m], velocity [m/s] and heading as (cos, sin). `OBSERVATION` is the highway-env observation of this state, for
+any of its roads.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ OBSERVATION: Mapping[str, Any] = MappingProxyType(
 """Configuration of the observation that `state` reads."""
 
 _FINE = 2.5
-"""Random wheel angles are from 10^-_FINE of the greatest on, each order of magnitude as often as another."""
+"""Random wheel angles are log-uniform, from 10^-_FINE of the greatest to the greatest."""
 
 
 def state(observation: Any) -> FloatArray:
-    """The ego's state in SI units, (6,), of an observation as `OBSERVATION` configures it.
+    """The ego's state in SI units, (6,), from an observation as configured in `OBSERVATION`.
 
     Raises
     ------
@@ -60,18 +60,18 @@ def state(observation: Any) -> FloatArray:
 
 
 class RandomDriver:
-    """Random throttle and steering between standstill and a top speed, each held for some decisions.
+    """Random throttle and steering between standstill and a top speed, each constant for some decisions.
 
-    Accelerations are zero on average, so that speeds wander; wheel angles are mostly the small ones of highway driving,
-    and now and then the largest.
+    Accelerations are zero on average, so speeds vary slowly. Wheel angles are mostly the small ones of highway driving,
+    and sometimes the greatest.
 
     Parameters
     ----------
-    actuators : what the normalised actions stand for; both throttle and steering.
+    actuators : range of the normalised actions; both throttle and steering.
     dt : duration of a decision [s].
-    generator : where the numbers come from.
-    hold : inputs are held for 1 to `hold` decisions.
-    top : speed [m/s] that it does not accelerate beyond.
+    generator : source of the random numbers.
+    hold : inputs are constant for 1 to `hold` decisions.
+    top : speed [m/s] up to which it accelerates.
 
     Raises
     ------
@@ -92,7 +92,7 @@ class RandomDriver:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
-        """A random action (2,) float32; of the observation it looks at the speed."""
+        """A random action (2,) float32; only the speed is read from the observation."""
         if self._left == 0 or (episode_start is not None and np.any(episode_start)):
             self._left = int(self._generator.integers(1, self._hold + 1))
             self._action = self._draw(observation)
@@ -103,7 +103,7 @@ class RandomDriver:
         rng, (low, high), (left, right) = self._generator, self._actuators.acceleration, self._actuators.steering
         x = state(observation)
         speed, lasting = float(x[2] * x[4] + x[3] * x[5]), self._left * self._dt
-        # As long in each direction as makes the mean zero.
+        # The probability of braking makes the mean acceleration zero.
         brakes = rng.random() < high / (high - low)
         acceleration = rng.uniform(low, 0.0) if brakes else rng.uniform(0.0, high)
         acceleration = float(np.clip(acceleration, -max(speed, 0.0) / lasting, (self._top - speed) / lasting))

@@ -1,4 +1,4 @@
-"""Driving to collect data: a policy, and random meta-actions in a share of its decisions, episode after episode."""
+"""Driving to collect data, episode after episode: a policy, with random meta-actions in a share of its decisions."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ __all__ = ["Exploration"]
 
 
 class Exploration:
-    """One environment that is driven on and on.
+    """An environment that is driven episode after episode.
 
     Parameters
     ----------
-    env : a highway-env environment with meta-actions, or what wraps it.
-    seed : of the random actions. policy : who drives (SB3's `predict`); None for random meta-actions.
-    explore : share of the decisions that are random all the same.
-    first_reset : episodes are reset with this seed and those after it.
+    env : a highway-env environment with meta-actions, or a wrapper of one.
+    seed : of the random actions. policy : the driving policy (SB3's `predict`); None for random meta-actions.
+    explore : share of the decisions in which a random action replaces the policy's.
+    first_reset : seed of the first reset; each further episode adds 1.
 
     Attributes
     ----------
-    episode : how many are over.
+    episode : number of finished episodes.
     """
 
     def __init__(self, env: Any, seed: int, policy: Any, explore: float, first_reset: int) -> None:
@@ -39,7 +39,7 @@ class Exploration:
         return action if self._generator.random() < self._explore else int(chosen)
 
     def carry_out(self, action: int) -> bool:
-        """Take an action; whether the episode is over, and `begin_anew` is next."""
+        """Execute an action. True if the episode has ended; then call `begin_anew`."""
         self._observation, _, terminated, truncated, _ = self._env.step(action)
         self._fresh = False
         return bool(terminated or truncated)

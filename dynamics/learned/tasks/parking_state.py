@@ -1,8 +1,8 @@
-"""The state of a vehicle that is to be parked, and what `parking-v0` observes of it.
+"""The state of a vehicle that is to be parked, and its observation in `parking-v0`.
 
 The state has the six columns of highway-env's `KinematicsGoal` observation, in SI units: position [m], velocity [m/s]
-and heading as (cos, sin), all in the world frame. The observation is the same divided by `SCALES`; here is the only
-place that knows it.
+and heading as (cos, sin), all in the world frame. The observation is the state divided by `SCALES`. Only this module
+uses the scales.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dynamics.state import FloatArray
 __all__ = ["ACTION_DIM", "DT", "SCALES", "STATE_DIM", "Parking", "goal", "observation", "state"]
 
 SCALES = np.array([100.0, 100.0, 5.0, 5.0, 1.0, 1.0])
-"""What the observation is divided by (`ParkingEnv.default_config` of highway-env 1.12)."""
+"""Divisors of the observation (`ParkingEnv.default_config` of highway-env 1.12) [m, m, m/s, m/s, 1, 1]."""
 STATE_DIM, ACTION_DIM = 6, 2
 DT = 0.2
 """Duration of a decision [s] (`policy_frequency` 5 Hz)."""
@@ -36,7 +36,7 @@ class Parking(IntEnum):
 
 
 def state(observation: Any) -> FloatArray:
-    """The ego's state in SI units, (..., 6), of a `parking-v0` observation (a dict with the key "observation").
+    """The ego's state in SI units, (..., 6), from a `parking-v0` observation (a dict with the key "observation").
 
     Raises
     ------
@@ -52,7 +52,7 @@ def state(observation: Any) -> FloatArray:
 
 
 def goal(observation: Any) -> FloatArray:
-    """The state to be reached, (..., 6), SI units; its speed is 0.
+    """The goal state, (..., 6), SI units; its speed is 0.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def goal(observation: Any) -> FloatArray:
 
 
 def observation(states: Any) -> FloatArray:
-    """States in SI units (..., 6) as the observation would show them."""
+    """States in SI units (..., 6) as they appear in the observation."""
     found: FloatArray = np.asarray(states, dtype=float) / SCALES
     return found
 

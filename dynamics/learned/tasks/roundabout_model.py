@@ -1,20 +1,21 @@
-r"""How vehicles move in highway-env's roundabout, learned: the ego under its meta-actions, the others by where they go.
+"""Learned motion of vehicles in highway-env's roundabout: the ego under its meta-actions, other vehicles by their next
+exit.
 
 Notation
 --------
-Positions p = (x, y) [m] and velocities v [m/s] are the world's, the middle of the roundabout is 0, and traffic turns
-towards smaller angles. Four arms leave it at k 90°, each with its exit at k 90° + `ALPHA` and its entry at
-k 90° - `ALPHA`: a quarter turn maps the road onto itself. So a vehicle is looked at from the arm nearest to it. With
-R_k the turn by k 90° and k the nearest arm,
+Positions p = (x, y) [m] and velocities v [m/s] are in the world frame. The centre of the roundabout is 0, and traffic
+turns towards smaller angles. Four arms leave it at k 90°, each with its exit at k 90° + `ALPHA` and its entry at k 90°
+- `ALPHA`; a quarter turn maps the road onto itself. So a vehicle is described in the frame of its nearest arm. With R_k
+the rotation by k 90° and k the nearest arm,
 
     z = R_k' (x, y, vx, vy),    z+ = z + dt (A(z, u) z + B(z, u) u),    (x, y, vx, vy)+ = R_k z+
 
-Of the ego u is the meta-action's one-hot, and 1 if the next exit is the one that it wants, else 0. Of another vehicle
-u is (1, 0) if it stays on at the next exit, and (0, 1) if it leaves there. Which of the two nobody can see, so a scene
-has both: every vehicle is two rows, and who plans among them keeps clear of both.
+For the ego, u is the one-hot meta-action, and 1 if it leaves at the next exit, else 0. For another vehicle, u is (1, 0)
+if it stays on at the next exit, and (0, 1) if it leaves there. Its exit cannot be observed, so a scene contains both:
+each vehicle has two rows, and a planner keeps clear of both.
 
-The state of a scene is the ego's (x, y, vx, vy, c, s) and, for each row, (presence, x, y, vx, vy, c, s, leaves), where
-(c, s) is the direction in which the vehicle moves, or moved last before it stopped.
+The state of a scene is the ego's (x, y, vx, vy, c, s) and, for each row, (presence, x, y, vx, vy, c, s, leaves). Here
+(c, s) is the direction of motion, or the last one before the vehicle stopped.
 """
 
 from __future__ import annotations
@@ -33,18 +34,18 @@ from dynamics.learned.tasks.exploration import Exploration
 __all__ = ["ALPHA", "EGO", "ROW", "RoundaboutModel", "arm_of", "collect_roundabout", "next_exit", "roundabout_config"]
 
 EGO, ROW = 6, 8
-"""Numbers of the ego, and of each row of another vehicle."""
+"""Number of entries of the ego, and of each row of another vehicle."""
 ALPHA = float(np.deg2rad(24.0))
 """Angle between an arm and its exit, and its entry [rad]. Source: `RoundaboutEnv._make_road` in highway-env 1.12."""
 _QUARTER = np.pi / 2
 _MOVING = 0.5
-"""Slower than that, a velocity does not say where a vehicle points [m/s]."""
+"""Least speed at which the velocity determines the direction of a vehicle [m/s]."""
 _PAIR = 6
-"""Columns of z: two that are always 0, where other models have the position that nothing depends on, and four."""
+"""Columns of z: two that are always 0, in place of the position of other models, and four."""
 
 
 def roundabout_config(inputs: int, dt: float, seed: int = 0, members: int = 3) -> ModelConfig:
-    """What the model of a vehicle is, for `inputs` numbers in u and decisions of `dt` seconds."""
+    """Configuration of the model of a vehicle, for `inputs` entries of u and decisions of `dt` seconds."""
     return ModelConfig(
         state_dim=_PAIR,
         action_dim=inputs,
@@ -59,17 +60,17 @@ def roundabout_config(inputs: int, dt: float, seed: int = 0, members: int = 3) -
 
 
 def arm_of(x: Any, y: Any) -> Any:
-    """The arm k in 0..3 that is nearest to a place, of the shape of x and y [m]."""
+    """The arm k in 0..3 nearest to a position, of the shape of x and y [m]."""
     return np.round(np.arctan2(y, x) / _QUARTER).astype(int) % 4
 
 
 def next_exit(x: Any, y: Any) -> Any:
-    """The arm in 0..3 of the exit that a vehicle at a place comes to next, of the shape of x and y [m]."""
+    """The arm in 0..3 of the next exit of a vehicle at a position, of the shape of x and y [m]."""
     return (np.ceil((np.arctan2(y, x) - ALPHA) / _QUARTER).astype(int) - 1) % 4
 
 
 def _turned(motion: Any, arm: Any, back: bool = False) -> Any:
-    """R_k' of (x, y, vx, vy), shape (..., 4), or R_k if `back`; exact, as quarter turns are."""
+    """R_k' of (x, y, vx, vy), shape (..., 4), or R_k if `back`; exact, since the rotations are quarter turns."""
     c, s = np.array([1, 0, -1, 0])[arm], np.array([0, 1, 0, -1])[arm]
     s = (-s if back else s)[..., None]
     first, second = motion[..., 0::2], motion[..., 1::2]
@@ -80,21 +81,26 @@ def _turned(motion: Any, arm: Any, back: bool = False) -> Any:
 
 
 def _direction(velocity: Any, before: Any) -> Any:
-    """Unit vector of a velocity (..., 2); the one before where it is too slow to say."""
+    """Unit vector of a velocity (..., 2); `before` where the vehicle is too slow."""
     speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
     return np.where(speed > _MOVING, velocity / np.maximum(speed, _MOVING), before)
 
 
 class RoundaboutModel:
-    """A `StepModel` of a whole scene, whose action is the number of a meta-action.
+    """A `StepModel` of a whole scene; its action is the number of a meta-action.
 
-    The others' motion does not depend on the ego's: they are not relied on to give way.
+    The motion of the other vehicles does not depend on the ego's: the model does not assume that they give way.
 
     Parameters
     ----------
     ego, others : the fitted models.
-    rows : of other vehicles in a state.
-    exit_arm : the arm in 0..3 where the ego wants to leave.
+    rows : number of rows of other vehicles in a state.
+    exit_arm : the arm in 0..3 at which the ego wants to leave.
+
+    Raises
+    ------
+    ConfigError
+        If the models have other widths, or a number is out of range.
     """
 
     action_dim = 1
@@ -116,7 +122,7 @@ class RoundaboutModel:
         Raises
         ------
         ModelError
-            If a shape is wrong, or an action is not the number of one.
+            If a shape is wrong, or an action does not exist.
         """
         check_batch(self, states, actions)
         states, number = np.asarray(states, np.float32), np.asarray(actions)[:, 0]
@@ -126,7 +132,7 @@ class RoundaboutModel:
         wanted = next_exit(states[:, 0], states[:, 1]) == self.exit_arm
         choice = np.concatenate([np.eye(self.actions)[number.astype(int)], wanted[:, None]], axis=1)
         out[:, :EGO] = _moved(self.ego, states[:, :EGO], choice)
-        # The plans of a search share the scene: each is moved on once.
+        # The plans of a search share scenes; the model is evaluated once for each distinct scene.
         scenes, which = np.unique(states[:, EGO:], axis=0, return_inverse=True)
         rows = scenes.reshape(-1, ROW)
         after = rows.copy()
@@ -140,7 +146,7 @@ class RoundaboutModel:
 
 def _moved(model: LinearStructuredModel, vehicles: Any, inputs: Any) -> Any:
     """(x, y, vx, vy, c, s) one decision later, (n, 6)."""
-    # What is not finite has no arm; it comes out as it went in.
+    # The arm of a position that is not finite is arbitrary; the result is not finite either.
     arm = arm_of(*np.nan_to_num(vehicles[:, :2]).T)
     z = np.zeros((len(vehicles), _PAIR), np.float32)
     z[:, 2:] = _turned(vehicles[:, :4], arm)
@@ -151,26 +157,27 @@ def _moved(model: LinearStructuredModel, vehicles: Any, inputs: Any) -> Any:
 def collect_roundabout(
     env: Any, decisions: int, seed: int = 0, policy: Any = None, explore: float = 1.0, first_reset: int = 0
 ) -> tuple[Transitions, Transitions]:
-    """Motions of the ego and of the others, from the simulator's state, over so many decisions.
+    """Motions of the ego and of the other vehicles, read from the simulator's state over a number of decisions.
 
-    Where it makes no difference whether a vehicle leaves at the next exit (on the way in, and on an exit) the motion is
-    told under both. Velocities are clipped as in the environment's observations, which is what a planner will have.
-    Motions into a crash are left out; how others come to a stop after one is not, as they stand in the way. Every
-    motion is an episode of its own, as the frame that it is seen in changes from one to the next.
+    On the way in and on an exit, it makes no difference whether a vehicle leaves at the next exit; there the motion is
+    stored under both inputs. Velocities are clipped as in the environment's observations, which a planner reads.
+    Motions into a crash are left out. Motions of other vehicles that come to a stop after a crash are kept, since they
+    are obstacles. Each motion is an episode of its own, as its frame changes from one to the next.
 
     Parameters
     ----------
-    env : roundabout-v0, or what wraps it.
-    policy : who drives (SB3's `predict`); None for random meta-actions.
-    explore : share of the decisions that are random all the same.
-    first_reset : episodes are reset with this seed and those after it.
+    env : roundabout-v0, or a wrapper of it.
+    decisions : number of decisions.
+    seed : of the random actions. policy : the driving policy (SB3's `predict`); None for random meta-actions.
+    explore : share of the decisions in which a random action replaces the policy's.
+    first_reset : seed of the first reset; each further episode adds 1.
 
     Raises
     ------
     ConfigError
         If the environment is not highway-env's roundabout.
     DataError
-        If there was nothing to be learned from.
+        If there are no motions of the ego or of others.
     """
     base = env.unwrapped
     if type(base).__name__ != "RoundaboutEnv":
@@ -205,15 +212,17 @@ def collect_roundabout(
 
 
 def _motion(vehicle: Any, reach: Any) -> Any:
+    """(x, y, vx, vy) of a vehicle, clipped to `reach`."""
     return np.clip(np.concatenate([vehicle.position, vehicle.velocity]), -reach, reach)
 
 
 def _destinations(base: Any) -> dict[int, int]:
-    """The arm of each vehicle's exit, by its identity."""
+    """The arm of each vehicle's exit, by its `id`."""
     return {id(v): "eswn".index(v.route[-1][1][0]) for v in base.road.vehicles}
 
 
 def _transitions(rows: list[tuple[Any, Any, Any]], dt: float, seed: int) -> Transitions:
+    """Motions as transitions of the model, in the frame of the nearest arm."""
     x, u, y = (np.array(column, float) for column in zip(*rows, strict=True))
     arm = arm_of(x[:, 0], x[:, 1])
     blank = np.zeros((len(x), 2))

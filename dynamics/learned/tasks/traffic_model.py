@@ -1,16 +1,15 @@
-r"""The traffic's motion as the ego sees it: relative states one decision later, learned, for meta-actions.
+"""Learned motion of the traffic relative to the ego, one decision later, for meta-actions.
 
 Notation
 --------
 The state of a scene is the ego's (y [m], vy, vx [m/s]) and, for each of K vehicles, (presence, dx, dy [m], dvx, dvy
-[m/s]) relative to the ego: what highway-env's Kinematics observation shows, in SI units. Every vehicle's row is moved
-on by one shared model of its pair with the ego, z = (0, 0, y, vy, vx, dx, dy, dvx, dvy), and the meta-action's one-hot
-u,
+[m/s]) relative to the ego: highway-env's Kinematics observation in SI units. One shared model predicts the row of every
+vehicle from its pair with the ego, z = (0, 0, y, vy, vx, dx, dy, dvx, dvy), and the one-hot meta-action u,
 
     z+ = z + dt (A(z, u) z + B(z, u) u)
 
-(the two zeros stand where other models have the absolute position, which nothing depends on). The ego's own next state
-is that of a pair with nobody.
+(the two zeros replace the absolute position of other models, on which no quantity depends). The ego's own next state is
+that of a pair with an absent vehicle.
 """
 
 from __future__ import annotations
@@ -29,14 +28,14 @@ from dynamics.learned.tasks.exploration import Exploration
 __all__ = ["EGO", "PAIR", "VEHICLE", "TrafficModel", "collect_traffic", "traffic_config"]
 
 EGO, VEHICLE, PAIR = 3, 5, 9
-"""Numbers of the ego, of each vehicle, and of a pair."""
+"""Number of entries of the ego, of each vehicle, and of a pair."""
 _NOBODY = np.array([150.0, 0.0, 0.0, 0.0])
 _REACH = (-30.0, 120.0)
-"""Vehicles from here to there along the road are learned from [m]."""
+"""Range of dx of the vehicles in the training data [m]."""
 
 
 def traffic_config(actions: int, dt: float, seed: int = 0, members: int = 3) -> ModelConfig:
-    """What the model of a pair is, for `actions` meta-actions that last `dt` seconds."""
+    """Configuration of the model of a pair, for `actions` meta-actions that last `dt` seconds."""
     return ModelConfig(
         state_dim=PAIR,
         action_dim=actions,
@@ -51,12 +50,17 @@ def traffic_config(actions: int, dt: float, seed: int = 0, members: int = 3) -> 
 
 
 class TrafficModel:
-    """A `DynamicsModel` of a whole scene, whose action is the number of a meta-action.
+    """A `DynamicsModel` of a whole scene; its action is the number of a meta-action.
 
     Parameters
     ----------
     pair : the fitted model of a pair.
-    vehicles : K, rows of other vehicles in a state.
+    vehicles : K, number of rows of other vehicles in a state.
+
+    Raises
+    ------
+    ConfigError
+        If the model has another width, or there is no vehicle.
     """
 
     action_dim = 1
@@ -75,7 +79,7 @@ class TrafficModel:
         Raises
         ------
         ModelError
-            If a shape is wrong, or an action is not the number of one.
+            If a shape is wrong, or an action does not exist.
         """
         check_batch(self, states, actions)
         states, number = np.asarray(states, np.float32), np.asarray(actions)[:, 0]
@@ -101,21 +105,22 @@ class TrafficModel:
 def collect_traffic(
     env: Any, decisions: int, seed: int = 0, policy: Any = None, explore: float = 1.0, first_reset: int = 0
 ) -> Transitions:
-    """Pairs of the ego and each vehicle near it, from the simulator's state, over so many decisions.
+    """Pairs of the ego and each vehicle near it, read from the simulator's state over a number of decisions.
 
-    Crashes are left out: what follows one is no traffic.
+    Motions into a crash are left out.
 
     Parameters
     ----------
     env : a highway-env environment with meta-actions, on a road along x.
-    policy : who drives (SB3's `predict`); None for random meta-actions.
-    explore : share of the decisions that are random all the same.
-    first_reset : episodes are reset with this seed and those after it.
+    decisions : number of decisions.
+    seed : of the random actions. policy : the driving policy (SB3's `predict`); None for random meta-actions.
+    explore : share of the decisions in which a random action replaces the policy's.
+    first_reset : seed of the first reset; each further episode adds 1.
 
     Raises
     ------
     DataError
-        If there was nobody near the ego.
+        If there was no vehicle near the ego.
     """
     base, driving = env.unwrapped, Exploration(env, seed, policy, explore, first_reset)
     runs: dict[tuple[int, int], list[tuple[Any, Any, Any]]] = {}
@@ -124,7 +129,7 @@ def collect_traffic(
         over = driving.carry_out(action)
         if not base.vehicle.crashed:
             after, choice = _pairs(base), np.eye(env.action_space.n)[action]
-            # In the order of the road: that of a set would be another in each run.
+            # In the order of the road: the order of a set would differ between runs.
             for key in before:
                 if key in after and _REACH[0] < before[key][5] < _REACH[1]:
                     runs.setdefault((driving.episode, key), []).append((before[key], choice, after[key]))
@@ -134,7 +139,7 @@ def collect_traffic(
     names: list[int] = []
     for run in runs.values():
         for i, row in enumerate(run):
-            # A vehicle that was out of reach in between starts another run.
+            # A vehicle that was out of range in between starts another sequence.
             if i == 0 or not np.array_equal(run[i - 1][2], row[0]):
                 names.append((names[-1] if names else -1) + 1)
             else:
@@ -148,7 +153,7 @@ def collect_traffic(
 
 
 def _pairs(base: Any) -> dict[int, Any]:
-    """z of each vehicle, by its identity."""
+    """z of each vehicle, by its `id`."""
     ego = base.vehicle
     y, (vx, vy) = ego.position[1], ego.velocity
     out = {}

@@ -1,1 +1,1 @@
-"""How it is learned: fits, rounds of fresh data, macro-steps, and how far predictions drift."""
+"""Training: fits, rounds of on-policy data, macro-steps, and the drift of predictions."""

@@ -1,4 +1,4 @@
-"""Macro-steps of a learned model: fitted to its own rollouts, and measured on others (see
+"""Macro-steps of a learned model: polynomials fitted to its rollouts, and measured on other rollouts (see
 `dynamics.learned.models.macro_steps`)."""
 
 from __future__ import annotations
@@ -20,16 +20,17 @@ __all__ = ["DistillConfig", "distill"]
 
 @dataclass(frozen=True, slots=True)
 class DistillConfig:
-    """How a model is distilled.
+    """Parameters of a distillation.
 
     Attributes
     ----------
-    holds : numbers of decisions that get a polynomial; 1 is always among them. Others are put together from these.
+    holds : numbers of decisions for which a polynomial is fitted; 1 is always included. Other numbers are composed of
+        these.
     degree : greatest total degree of the polynomials.
-    samples : rollouts that each is fitted to, and a quarter as many to measure it on.
-    stretch : w is drawn from the range that the data have, made so much longer.
+    samples : number of rollouts for each fit; a quarter as many for its measurement.
+    stretch : w is drawn from its range in the data, widened by this factor.
     tolerance : greatest 99 % quantile of the distance between model and polynomial after one block [m], for each
-        decision that the action is held. The lowest degree that keeps it is taken.
+        decision of the block. The lowest degree within the tolerance is used.
     seed : of the draws.
     """
 
@@ -55,14 +56,14 @@ def distill(model: LinearStructuredModel, data: Transitions, config: DistillConf
     Parameters
     ----------
     model : in body form.
-    data : which states there are.
+    data : transitions that determine the range of states.
 
     Raises
     ------
     ConfigError
         If the model is of another form, or there are too few samples.
     ModelError
-        If a polynomial does not come within the tolerance.
+        If a polynomial is not within the tolerance.
     """
     config = config or DistillConfig()
     if model.config.form != "body":
@@ -109,10 +110,10 @@ def _macro_step(
 
 
 def _range(model: LinearStructuredModel, data: Transitions, stretch: float) -> tuple[FloatArray, FloatArray, list[int]]:
-    """Least and greatest w to expect, and which entries of w never varied in the data."""
+    """Least and greatest expected w, and the entries of w that are constant in the data."""
     layout, seen = model.config.layout, model.seen
     known = layout.to_body(data.states)
-    # With the model's predictions: they stray a little from what there is, such as a speed sideways.
+    # Predictions of the model are included: they exceed the data slightly, for example with a lateral speed.
     reached = np.concatenate([known, layout.to_body(model.step(known, data.actions).astype(float))])[:, seen]
     low, high = reached.min(axis=0), reached.max(axis=0)
     margin = np.maximum((stretch - 1) / 2 * (high - low), 1e-3)
@@ -122,7 +123,7 @@ def _range(model: LinearStructuredModel, data: Transitions, stretch: float) -> t
 def _draw(
     low: FloatArray, high: FloatArray, actions: int, samples: int, generator: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """w (n, k) and u (n, m) in their ranges; many actions at a bound, where plans often are."""
+    """w (n, k) and u (n, m) in their ranges. Many actions are at a bound, as in plans."""
     w = generator.uniform(low, high, (samples, len(low)))
     return w, np.clip(generator.uniform(-1.2, 1.2, (samples, actions)), -1, 1)
 
@@ -134,7 +135,7 @@ def _terms(phi: Monomials, psi: Monomials, allowed: Any, w: FloatArray, u: Float
 
 
 def _teach(model: LinearStructuredModel, w: FloatArray, u: FloatArray, hold: int) -> FloatArray:
-    """What the model says about a block, (n, k + 3)."""
+    """Targets for the polynomials from the model's rollouts of a block, (n, k + 3)."""
     layout, seen = model.config.layout, model.seen
     starts = np.zeros((len(w), model.state_dim))
     starts[:, layout.heading[0]] = 1

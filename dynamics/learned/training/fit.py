@@ -1,7 +1,7 @@
 """Training of a `LinearStructuredModel`: one-step loss, then multi-step loss; held-out episodes, early stopping.
 
-The one-step loss comes first: it is cheap, and gets nearly everything. The multi-step loss, over the model's own
-rollouts, finishes on what adds up.
+The one-step loss is cheap and comes first; it yields most of the accuracy. The multi-step loss, over the model's own
+rollouts, then reduces errors that accumulate.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ _Windows: TypeAlias = tuple[Tensor, Tensor, Tensor]
 
 @dataclass(frozen=True, slots=True)
 class FitConfig:
-    """How a model is trained.
+    """Parameters of the training.
 
     Attributes
     ----------
-    epochs : at most so many passes over the training transitions with the one-step loss.
+    epochs : greatest number of passes over the training transitions with the one-step loss.
     rate : its highest learning rate (Adam); it falls to 0 along a cosine, unless `constant_rate`.
-    horizon : the multi-step loss is over rollouts of so many decisions; 1 for none.
+    horizon : number of decisions of a rollout in the multi-step loss; 1 for none.
     finish_epochs, finish_rate : the same for the multi-step loss.
     batch : windows in a step of the optimiser; None for all of them.
-    held_out : share of the episodes that training never sees.
-    patience : stop after so many checks without a better held-out loss; the best weights are kept.
+    held_out : share of the episodes that is not used in training.
+    patience : number of checks without a better held-out loss after which training stops; the best weights are kept.
     check_every : epochs between checks.
     seed : of the split and of the batches.
     """
@@ -67,26 +67,26 @@ class FitConfig:
 
     @property
     def phases(self) -> list[tuple[int, int, float]]:
-        """(horizon, epochs, rate) of the one-step and of the multi-step loss, if there are any."""
+        """(horizon, epochs, rate) of the one-step and of the multi-step loss, as far as they are used."""
         both = [(1, self.epochs, self.rate), (self.horizon, self.finish_epochs, self.finish_rate)]
         return [phase for phase in both[: 1 if self.horizon == 1 else 2] if phase[1]]
 
     @property
     def total_epochs(self) -> int:
-        """Epochs at most."""
+        """Greatest number of epochs."""
         return sum(epochs for _, epochs, _ in self.phases)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """A trained model and how its training went.
+    """A trained model, and the record of its training.
 
     Attributes
     ----------
     model : with the weights of the best held-out loss.
     train, held_out : the two parts of the data.
-    history : (epoch, training loss, held-out loss) at each check; the loss is the multi-step one at the end.
-    seconds : wall-clock time of the training.
+    history : (epoch, training loss, held-out loss) at each check; at the end with the multi-step loss.
+    seconds : wall-clock time of the training [s].
     """
 
     model: LinearStructuredModel
@@ -104,21 +104,21 @@ def fit(
     progress: bool = False,
     tensorboard: str | None = None,
 ) -> Fit:
-    """Train a new model, or a given one further (a copy of it; its normalisation stays).
+    """Train a new model, or continue the training of a copy of a given one, with its normalisation unchanged.
 
-    One torch thread, and the same result for the same seeds on the same machine.
+    It uses one torch thread. The result is the same for the same seeds on the same machine.
 
     Parameters
     ----------
     data : the transitions; the split is by episode.
-    model : what to train.
+    model : configuration of a new model, or a model to continue with.
     progress : whether to show a progress bar on stderr.
     tensorboard : folder for TensorBoard's event files.
 
     Raises
     ------
     ConfigError
-        If TensorBoard is asked for and not installed.
+        If `tensorboard` is given and TensorBoard is not installed.
     DataError
         If the data do not fit the model or have too few or too short episodes.
     ModelError
@@ -174,8 +174,8 @@ def _fit(
 
 
 class _Phase(NamedTuple):
-    """One phase: what is descended on, what the weights are chosen on, what an error in each column is measured in; for
-    how many epochs, and the rate that it begins with."""
+    """One phase of the training: windows for the loss, windows for the choice of weights, unit of the error in each
+    column, number of epochs, and initial learning rate."""
 
     batches: _Windows
     checks: _Windows
@@ -192,7 +192,7 @@ def _descend(
     note: Callable[[int, float, float], None],
     bar: Any,
 ) -> None:
-    """Train for one phase; leaves the best weights in the network."""
+    """Train for one phase; the network ends with the best weights."""
     (states, actions, after), epochs, rate = phase.batches, phase.epochs, phase.rate
     count = len(states)
     size = min(config.batch or count, count)
@@ -228,7 +228,7 @@ def _descend(
 
 
 def _loss(network: LinearStructuredModel, states: Tensor, actions: Tensor, after: Tensor, scale: Tensor) -> Tensor:
-    """Mean squared error over members, windows, decisions and columns; each member rolls out by itself."""
+    """Mean squared error over members, windows, decisions and columns; each member rolls out separately."""
     now = states
     total = torch.zeros(())
     for k in range(actions.shape[1]):
@@ -247,7 +247,7 @@ def _windows(data: Transitions, horizon: int) -> _Windows:
 
 
 def _loss_scale(network: LinearStructuredModel, data: Transitions) -> Tensor:
-    """What an error in each column is measured in: its usual change in one decision, the same for x and y of a pair."""
+    """Unit of the error in each column: its usual change in one decision, equal for x and y of a pair."""
     config = network.config
     if config.units is not None:
         return torch.tensor(config.units, dtype=torch.float32)
@@ -263,7 +263,7 @@ def _tensor(array: Any) -> Tensor:
 
 @contextmanager
 def _writer(folder: str | None) -> Iterator[Callable[[int, float, float], None]]:
-    """What notes (epoch, training loss, held-out loss) for TensorBoard, or nowhere."""
+    """A function that logs (epoch, training loss, held-out loss) to TensorBoard, or does nothing."""
     if folder is None:
         yield lambda epoch, train, held_out: None
         return

@@ -1,7 +1,7 @@
-"""Rounds of on-policy data: fit, drive with a policy made from the fit, fit again on everything.
+"""Rounds of on-policy data: fit, drive with a policy made from the fit, fit again on all data.
 
-A model that was fitted to random driving is asked by its planner about states that random driving never sees. A few
-hundred transitions of the planner's own driving tell it.
+A planner evaluates its model at states that random driving does not visit. A few hundred transitions of driving with
+the planner add these states to the data.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ __all__ = ["Round", "RoundsConfig", "first_driving", "rounds"]
 
 @dataclass(frozen=True, slots=True)
 class RoundsConfig:
-    """How much is driven.
+    """Amount of driving.
 
     Attributes
     ----------
-    transitions : with random actions, before the first fit.
-    rounds : of on-policy driving.
+    transitions : number with random actions, before the first fit.
+    rounds : number of rounds of on-policy driving.
     per_round : transitions in each.
-    episode_steps : longest episode with random actions; None leaves it to the environment.
-    on_policy_steps : longest episode on-policy.
-    hold : a random action is held for 1 to `hold` decisions.
-    seed : of all collecting; each round has numbers of its own.
+    episode_steps : longest episode with random actions; None for the environment's limit.
+    on_policy_steps : longest on-policy episode; None for the environment's limit.
+    hold : a random action is repeated for 1 to `hold` decisions.
+    seed : of the whole collection; each round has a different seed derived from it.
     """
 
     transitions: int = 1000
@@ -53,12 +53,12 @@ class RoundsConfig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Round:
-    """State after a round.
+    """Result of a round.
 
     Attributes
     ----------
-    number : 0 is the one with random actions.
-    data : everything collected so far.
+    number : 0 for the round with random actions.
+    data : all data collected so far.
     fit : the model fitted to it.
     """
 
@@ -78,20 +78,21 @@ def rounds(
     progress: bool = False,
     tensorboard: str | None = None,
 ) -> Iterator[Round]:
-    """Collect and fit, round after round; each is yielded when it is done.
+    """Collect and fit, round by round; yields the result of each.
 
-    The first fit starts anew, the later ones from the weights before.
+    The first fit starts from random weights, each later one from the weights before.
 
     Parameters
     ----------
     state : reads the model's state from an observation (see `dynamics.learned.data.collect.collect`).
-    policy_of : makes the driver of a round from the model and the data so far; None if there are no rounds.
-    tensorboard : folder for TensorBoard's event files, one below it for each round.
+    model : configuration of the model.
+    policy_of : makes the policy of a round from the model and the data so far; None if there are no rounds.
+    tensorboard : folder for TensorBoard's event files, with one folder for each round.
 
     Raises
     ------
     ConfigError
-        If there are rounds and nobody to drive.
+        If there are rounds and no `policy_of`.
     DataError, ModelError
         As `collect` and `fit` do.
     """

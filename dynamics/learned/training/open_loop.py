@@ -1,4 +1,4 @@
-"""How far a model's open-loop predictions drift from what happened."""
+"""Drift of a model's open-loop predictions from the recorded motion."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class OpenLoop:
     position: FloatArray
 
     def quantile(self, q: float) -> FloatArray:
-        """Over the windows, shape (horizon,)."""
+        """Quantile of the position error over the windows [m], shape (horizon,)."""
         return np.asarray(np.quantile(self.position, q, axis=0))
 
     @property
@@ -38,7 +38,7 @@ class OpenLoop:
 def open_loop(
     model: DynamicsModel, data: Transitions, horizon: int = 15, position: tuple[int, int] = (0, 1)
 ) -> OpenLoop:
-    """Predict every window of `horizon` decisions from its first state and its actions alone.
+    """Predict every window of `horizon` decisions from its first state and its actions only.
 
     Parameters
     ----------

@@ -1,4 +1,5 @@
-"""Ways to learn the dynamics of parking, from HighwayEnv's notebook to the default, one thing changed at a time."""
+"""Variants of learning the dynamics of parking, from HighwayEnv's notebook to the default, with one change at a
+time."""
 
 from __future__ import annotations
 
@@ -17,11 +18,12 @@ __all__ = ["DEFAULT", "VARIANTS", "Variant", "variant"]
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """A model, how it is trained, and on what.
+    """A model, its training, and its data.
 
     Attributes
     ----------
-    what : for people, what is different from the variant before.
+    what : description of the difference to the variant before, for readers.
+    model, fit, data : configuration of each.
     """
 
     what: str
@@ -30,7 +32,7 @@ class Variant:
     data: RoundsConfig = field(default_factory=lambda: RoundsConfig(rounds=0))
 
     def seeded(self, seed: int) -> Variant:
-        """The same with everything random drawn from a seed."""
+        """The variant with all its seeds set to one seed."""
         parts = (replace(part, seed=seed) for part in (self.model, self.fit, self.data))
         return Variant(self.what, *parts)  # type: ignore[arg-type]
 
@@ -52,7 +54,7 @@ _ONE_STEP = FitConfig(horizon=1, epochs=330)
 _SINGLE = ModelConfig(members=1)
 
 DEFAULT = "rounds"
-"""The variant that is the default."""
+"""Name of the default variant."""
 
 VARIANTS: Mapping[str, Variant] = MappingProxyType(
     {
@@ -76,7 +78,7 @@ VARIANTS: Mapping[str, Variant] = MappingProxyType(
         "rounds": Variant("1,000 random and twice 400 on-policy (the default)", data=RoundsConfig()),
     }
 )
-"""By name; each changes one thing about one before it."""
+"""Variants by name; each changes one thing of an earlier one."""
 
 
 def variant(name: str) -> Variant:
@@ -85,7 +87,7 @@ def variant(name: str) -> Variant:
     Raises
     ------
     ConfigError
-        If there is none of that name.
+        If the name is unknown.
     """
     if name not in VARIANTS:
         raise ConfigError(f"unknown variant {name!r}; have {', '.join(VARIANTS)}")

@@ -111,7 +111,7 @@ def road_scenario_of(env_id: str, config: Mapping[str, Any] | None = None) -> Ro
     ConfigError
         If the compiled episodes do not support the configuration; the message lists all unsupported entries.
     PlatformError
-        If the installed version of highway-env is not the one that this is a copy of.
+        If the installed version of highway-env is not the version of this copy.
     """
     installed = version("highway-env")
     if not installed.startswith(f"{COPIED}."):

@@ -47,7 +47,7 @@ def worlds_known() -> str:
 
 
 def is_world(kind: object) -> bool:
-    """Whether an object is an environment class whose episodes are compiled."""
+    """Whether an object is an environment class with compiled episodes."""
     return isinstance(kind, type) and kind in _WORLDS
 
 

@@ -62,7 +62,7 @@ class Network(NamedTuple):
     outs : the roads that leave each node, in highway-env's order, (nodes, most); -1 for none.
     linked : further lanes on which the neighbours of a vehicle are searched, (n, most, 2): the lane, -1 for none, and 1
         if it follows, -1 if it precedes. No columns if highway-env searches one lane at a time.
-    near : for each lane, the lanes whose boxes are within 2 `REACH` of its own, including itself, in order, (n, most);
+    near : for each lane, the lanes with boxes within 2 `REACH` of its own, including itself, in order, (n, most);
         -1 for none.
     """
 
@@ -193,7 +193,7 @@ def _numbers(lane: Any) -> FloatArray:
 
 
 def _outline(lane: Any) -> FloatArray:
-    """Points whose bounding box contains the centre line of a lane, (k, 2) [m]."""
+    """Points around a lane; their bounding box contains its centre line, (k, 2) [m]."""
     if isinstance(lane, CircularLane):
         turned = lane.direction * lane.length / lane.radius
         first, last = sorted((lane.start_phase, lane.start_phase + turned))

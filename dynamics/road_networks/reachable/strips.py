@@ -167,9 +167,9 @@ def steepness(lanes: Lanes, lane: int) -> float:
 def bulge(lanes: Lanes, lane: int, row: FloatArray) -> float:
     """How much further a body that points along a curved lane reaches across it than across a straight one [m].
 
-    On an arc the corners reach further. On a sine with greatest slope m and pulsation w, half the width grows by the
-    factor sqrt(1 + m^2 (1 - u^2)), since r is measured across the line that the sine winds around. The corners add m w
-    u L^2 / 8. Here u is 0 at the steepest place and 1 where the sine turns.
+    On an arc the corners reach further. On a sine, r is measured across the line that the sine winds around. With
+    greatest slope m and pulsation w, half the width grows by the factor sqrt(1 + m^2 (1 - u^2)). The corners add m w u
+    L^2 / 8. Here u is 0 at the steepest place and 1 where the sine turns.
     """
     slope, long, half = steepness(lanes, lane), row[_LENGTH], 0.5 * row[_WIDTH]
     if slope == 0.0:

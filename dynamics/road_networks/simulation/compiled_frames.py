@@ -17,8 +17,9 @@ from dynamics.state import BoolArray, FloatArray
 __all__ = ["CompiledFrames", "Watcher"]
 
 Watcher = Callable[[list[Any], FloatArray, BoolArray], None]
-"""A function called with the bodies of the road, their rows after each frame of a decision, (frames, m, 7) as of
-`NetworkSimulator.step`, and whether the ego is on the road after each frame, (frames,)."""
+"""A function that is called after the frames of a decision, with three arguments: the bodies of the road; their rows
+after each frame, (frames, m, 7) as of `NetworkSimulator.step`; and whether the ego is on the road after each frame,
+(frames,)."""
 
 
 class CompiledFrames(gym.Wrapper[Any, Any, Any, Any]):

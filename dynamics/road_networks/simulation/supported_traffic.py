@@ -1,4 +1,4 @@
-"""The highway-env environments on road networks whose traffic follows from its present state alone."""
+"""The highway-env environments on road networks with traffic that follows from its present state alone."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ def check_network(base: Any) -> None:
     Raises
     ------
     ConfigError
-        If a method is not highway-env's own (the message names it), a vehicle class has an unknown driving model, or
-        the environment is a parking lot or none of highway-env's.
+        If a method is not highway-env's own; the message names it. If a vehicle class has an unknown driving model. If
+        the environment is a parking lot, or none of highway-env's.
     """
     if not isinstance(base, AbstractEnv) or isinstance(base, ParkingEnv):
         raise ConfigError(
@@ -98,9 +98,9 @@ def customs_of(base: Any) -> Customs:
         return Customs(0, False, stay, 0)
     known = (RegulatedRoad, PriorityRoad)
     if type(road) not in known:
-        raise ConfigError(f"who yields on a {type(road).__name__} is not known; have {_names(known)}")
+        raise ConfigError(f"the right of way on a {type(road).__name__} is not known; known are {_names(known)}")
     if road.YIELD_DURATION != 0:
-        raise ConfigError(f"who yields does it for {road.YIELD_DURATION} s; known is a YIELD_DURATION of 0")
+        raise ConfigError(f"vehicles yield for {road.YIELD_DURATION} s; only a YIELD_DURATION of 0 is supported")
     period = int(1 / (1 / base.config["simulation_frequency"]) / road.REGULATION_FREQUENCY)
     return Customs(period, isinstance(road, PriorityRoad), stay, road.steps - base.steps)
 

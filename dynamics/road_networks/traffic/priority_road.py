@@ -18,11 +18,12 @@ REACH = 20.0
 
 
 class PriorityRoad(RegulatedRoad):  # type: ignore[misc]
-    """A `RegulatedRoad` on which a vehicle yields to the one that it follows, whatever the priorities of their lanes.
+    """A `RegulatedRoad` on which a vehicle yields to the one that it follows, independent of the priorities of their
+    lanes.
 
     Priorities are for ways that cross. Where the lane ahead has a lower priority than the lane behind, highway-env
-    stops the leader. Vehicles too far apart to meet in time are not compared. For a vehicle near the end of a road
-    whose route is ahead of its lane, highway-env predicts a wrong position, and other vehicles stop for it.
+    stops the leader. Vehicles too far apart to meet in time are not compared. The route of a vehicle near the end of a
+    road may begin after its lane. highway-env then predicts a wrong position, and other vehicles stop for it.
     """
 
     @staticmethod

@@ -1,9 +1,9 @@
-"""The procedure for meta-actions: propose, rules, verify, repair, fall back.
+"""The pipeline for meta-actions: proposal, rules, verification, repair, fallback.
 
-The invariant: if a scene admits a verified plan and the others keep to the assumptions, nothing that is let through or
-substituted ever brings the ego nearer to another vehicle than the buffer. It holds by induction: an action is executed
-for one frame only if, after it, the fail-safe manoeuvre (brake to a stop in a lane) stays clear of every place where
-the others can be; where nothing verifies, the fail-safe verified at the frame before is played on.
+The invariant holds if a scene admits a verified plan and the others keep to the assumptions. Then no executed action
+brings the ego nearer to another vehicle than the buffer. It follows by induction. An action is executed for one frame
+only if the fail-safe after it (braking to a stop in a lane) stays clear of every place that the others can reach. If no
+plan verifies, the fail-safe verified at the previous frame is continued.
 
 The frames between two decisions are supervised by `shield.pipelines.frames`.
 """
@@ -41,7 +41,7 @@ class MetaActions:
 
     Attributes
     ----------
-    screen : the rules that are run before anything is verified.
+    screen : the rules that run before the verification.
     """
 
     def __init__(self, config: ShieldConfig) -> None:
@@ -49,23 +49,24 @@ class MetaActions:
         self.screen, self._hold_back = Screen(config), HoldBack(begins=True)
 
     def refuses(self, scene: Scene, proposal: Wish) -> Reason | None:
-        """A proposal that is no action, or a scene that is not finite."""
+        """Reason if the proposal is invalid or the scene is not finite; else None."""
         return self.screen.refuses(scene, proposal)
 
     def observe(self, memory: Memory[int], scene: Scene) -> tuple[Instant, Memory[int]]:
-        """Take in a scene."""
+        """Observe a scene: monitor, and reachable places of the others."""
         now = observe(memory, scene, self.config)
         return now, now.memory
 
     def plans(self, now: Instant, proposal: Wish) -> Iterator[Tried[int]]:
-        """The proposal; itself with another speed; alternatives; itself held back; and then whatever verifies."""
+        """The proposal; the proposal with another speed; alternatives; the proposal with an acceleration cap; then all
+        other actions."""
         scene, action = now.scene, proposal.action
         target = scene.target_of(action)
         changes = _changes_lane(now, target)
         if self.screen.buffer.objects(scene, target):
             reason = Reason.BUFFER
         else:
-            # A longitudinal proposal can be held back by the frames; a lane change should be able to end well.
+            # The frames can cap the acceleration of a longitudinal proposal; a lane change is expected to be completed.
             (plan,) = self._verify(now, [action], [target], forecast=changes)
             yield Tried(Tier.PASSED, Reason.NONE, plan)
             reason = self.screen.why(scene, target)
@@ -73,34 +74,34 @@ class MetaActions:
         targets = [scene.target_of(a) for a in range(len(labels))]
         alternatives = self._alternatives(now, proposal, targets, changes)
         if changes:
-            # A lane change that only its speed stands in the way of.
+            # A lane change that may verify with another speed.
             for plan in self._verify_actions(now, [action], targets):
                 yield Tried(Tier.GOVERNED, reason, plan)
         for plan in self._verify_actions(now, alternatives, targets):
             yield Tried(Tier.ALTERNATIVE, reason, plan)
-        # An override that has no policy order behind it holds the proposal back rather than drop it.
+        # Without a policy order, an acceleration cap is preferred to another action.
         kept = ([] if changes else [action]) + [labels.index(x) for x in ("IDLE", "SLOWER") if x in labels]
         for a in kept:
             for held in self._hold_back.plans(now, targets[a]):
                 yield Tried(Tier.GOVERNED, reason, replace(held, action=a, path=_from_here(now, held.path)))
-        # Whatever is left, whether or not it is expected to last: the certificate needs one frame only.
+        # The remaining actions, without the forecast for the whole decision: the certificate needs one frame only.
         rest = [a for a in range(len(labels)) if a != action]
         for plan in self._verify_actions(now, rest, targets, forecast=False):
             yield Tried(Tier.ALTERNATIVE, reason, plan)
 
     def fall_back(self, now: Instant, proposal: Wish, tried: list[Tried[int]]) -> Tried[int]:
-        """Slow down, and leave it to the frames to play the stored plan on."""
+        """SLOWER; the frames continue the stored plan."""
         tier, plan = self.last_resort(now.memory, now.scene, proposal)
         held = tier is Tier.STORED_PLAN and not now.memory.watch.violated and now.fail_safe().margin >= -ROUNDING
         return Tried(tier, Reason.PRECAUTION if held else Reason.NO_SAFE_PLAN, plan)
 
     def last_resort(self, memory: Memory[int], scene: Scene | Unreadable, proposal: Wish) -> tuple[Tier, Plan[int]]:
-        """The same."""
+        """SLOWER; the frames continue the stored plan."""
         tier = Tier.STORED_PLAN if memory.stored is not None else Tier.EMERGENCY
         return tier, Plan(slower(proposal.labels), stored=memory.stored, entered=memory.entered)
 
     def mask(self, memory: Memory[int], scene: Scene) -> Any:
-        """Which actions verify as they are, (actions,) bool; all False only if none does."""
+        """Mask of the actions that verify unchanged, (actions,) bool; all False only if none does."""
         labels = scene.control.actions
         mask = np.zeros(len(labels), dtype=bool)
         if not scene.finite:
@@ -119,29 +120,29 @@ class MetaActions:
         return mask
 
     def lasts(self, now: Instant, action: int) -> bool:
-        """Whether an action has to be expected to last for the whole decision, beside verifying for a frame."""
+        """Whether an action must be expected to last for the whole decision, besides verifying for a frame."""
         return _changes_lane(now, now.scene.target_of(action))
 
     # -- pieces ------------------------------------------------------------------------------------------
 
     def _alternatives(self, now: Instant, proposal: Wish, targets: list[Target], changes: bool) -> list[int]:
-        """What is tried in the proposal's place: the policy's order, or the documented one without one."""
+        """Actions that may replace the proposal, in the policy's order or the default one."""
         labels, wanted = now.scene.control.actions, resolve(proposal.order)
         if wanted is None:
-            # What can be held back comes before what slows down on purpose.
+            # An acceleration cap of these actions is tried first, before a deliberate deceleration.
             stop = ("SLOWER",) if changes else ("FASTER", "IDLE", "SLOWER")
             ordered = default_order(now.scene, proposal.action, targets)
             wanted = list(takewhile(lambda a: labels[a] not in stop, ordered))
-        # An action that sets the same target would be the same action under another name.
+        # An action with the same target command is the same action under another name.
         return [a for a in wanted if a != proposal.action and targets[a] != targets[proposal.action]]
 
     def _verify(
         self, now: Instant, actions: Sequence[int], targets: list[Target], forecast: bool = False
     ) -> list[Plan[int]]:
-        """Each target committed to for one frame: the bound that the certificate rests on.
+        """Verify each target command for one frame: the bound of the certificate.
 
-        With `forecast`, those that are expected to need holding back within the decision period (at constant speed
-        of the others) are marked down too: an alternative should last for the whole period.
+        With `forecast`, a plan gets the lower margin of that bound and of a forecast for the decision period, with the
+        others at constant speed. An alternative is expected to last for the whole period.
         """
         scene = now.scene
         pairs = [(i, f) for i, t in enumerate(targets) for f in fail_lanes(now, t.lane)]
@@ -172,7 +173,7 @@ class MetaActions:
     def _verify_actions(
         self, now: Instant, actions: Sequence[int], targets: list[Target], forecast: bool = True
     ) -> list[Plan[int]]:
-        """Verify alternatives in one batch; a lane change also with its speed held back by the frames."""
+        """Verify alternatives in one batch; a lane change also with capped speeds."""
         labels = now.scene.control.actions
         owner: list[int] = []
         tried: list[Target] = []
@@ -194,8 +195,10 @@ class MetaActions:
 
 
 def _from_here(now: Instant, path: FloatArray | None) -> FloatArray:
+    """Path with the ego's present state in front, (frames + 1, 4)."""
     return np.vstack([now.scene.ego_road, np.empty((0, 4)) if path is None else path])
 
 
 def _changes_lane(now: Instant, target: Target) -> bool:
+    """Whether a target command is in another lane than the ego."""
     return target.lane != now.here

@@ -1,1 +1,1 @@
-"""Where users come in: `Shield(policy)` and `ShieldedEnv(env)`."""
+"""Entry points: `Shield(policy)` and `ShieldedEnv(env)`."""

@@ -1,4 +1,4 @@
-"""What a policy returns, taken apart: the action for each environment, and the form that it gets its answer in."""
+"""Separation of a policy's output into one action per environment, and its inverse."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ __all__ = ["ActionRows", "as_numbers"]
 
 @dataclass(frozen=True, slots=True)
 class ActionRows:
-    """The actions that a policy has returned for some environments.
+    """Actions of a policy for some environments.
 
     Attributes
     ----------
-    rows : the action for each environment, whatever it is: what is no action is for the doors to fall back on.
-    shape : of the array that is returned in the policy's place. kind : its data type.
+    rows : the action for each environment, valid or not; the filters fall back on invalid ones.
+    shape : of the array that is returned instead. kind : its data type.
     """
 
     rows: list[Any]
@@ -29,24 +29,24 @@ class ActionRows:
 
     @classmethod
     def of(cls, actions: Any, count: int, size: int | None, batched: bool) -> ActionRows:
-        """Take apart what a policy has returned: an array, a number, a list or a tuple.
+        """Separate a policy's output: an array, a number, a list or a tuple.
 
         Parameters
         ----------
-        count : how many environments there are.
-        size : how many inputs an action has, None where an action is a whole number.
-        batched : whether the observations were a batch, of one environment at least.
+        count : number of environments.
+        size : number of inputs in an action; None where an action is a whole number.
+        batched : whether the observations were a batch, of at least one environment.
 
         Raises
         ------
         ConfigError
-            If there are several environments, and not as many actions.
+            If there are several environments, and another number of actions.
         """
         array, entries = as_numbers(actions), 1 if size is None else size
         kind: Any = np.dtype(np.int64) if size is None else np.dtype(np.float32)
         if array is not None and array.size == count * entries:
             flat = array.reshape(-1)
-            # Whole numbers cannot hold the inputs that were verified.
+            # An integer type cannot represent the verified inputs.
             if size is not None and array.dtype.kind == "f":
                 kind = array.dtype
             return cls(list(flat if size is None else flat.reshape(count, size)), array.shape, kind)
@@ -62,12 +62,12 @@ class ActionRows:
         return cls(list(actions), shape, kind)
 
     def answer(self, executed: Sequence[Any]) -> Any:
-        """What was decided for each environment, as the policy's actions were."""
+        """The executed actions in the form of the policy's output."""
         return np.stack([np.asarray(each, dtype=self.kind).reshape(-1) for each in executed]).reshape(self.shape)
 
 
 def as_numbers(actions: Any) -> np.ndarray[Any, Any] | None:
-    """The actions as an array of numbers, None where they are none."""
+    """The actions as an array of numbers; None if they are not numbers."""
     try:
         array = np.asarray(actions)
     except (TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""The action type that a policy decides about, or an error that says which action types are filtered."""
+"""The action type that the policy decides about, and a refusal of unsupported ones."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _META, _INPUTS = "DiscreteMetaAction", "ContinuousAction"
 
 
 def the_action_type(bases: list[Any], wrapper: str) -> str:
-    """What the policy decides about: "DiscreteMetaAction", or "ContinuousAction", of which `DiscreteAction` is a kind.
+    """The action type of the policy: "DiscreteMetaAction" or "ContinuousAction". `DiscreteAction` counts as the latter.
 
     Raises
     ------
     ConfigError
-        If it is neither, or not the same in all environments.
+        If it is neither, or differs between the environments.
     """
     kinds = {type(getattr(base, "action_type", None)) for base in bases}
     if len(kinds) == 1:

@@ -1,4 +1,4 @@
-"""The settings that a shield takes where none are handed in: the strongest verification whose promise holds there."""
+"""Default settings for an environment: the strongest verification whose assumptions hold there."""
 
 from __future__ import annotations
 
@@ -56,15 +56,15 @@ _PROMISES = {
 
 
 class Place(NamedTuple):
-    """What the choice of settings depends on.
+    """Conditions for the choice of settings.
 
     Attributes
     ----------
-    base : the environment, unwrapped; None where it is out of reach.
+    base : the environment, unwrapped; None if it is in another process.
     inputs : whether the actions are throttle and steering. frames : whether the frames between two decisions are
         supervised.
-    worst_case_only : whether simulation is no option: a model of the user's, or scenes from observations.
-    rule : whether a rule of the user's decides alone.
+    worst_case_only : whether simulation is excluded, by a user's model or by scenes from observations.
+    rule : whether a user's rule decides alone.
     """
 
     base: Any
@@ -76,16 +76,16 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ChosenSettings:
-    """Settings, and what they promise in an environment.
+    """Settings, and their promise in an environment.
 
     Attributes
     ----------
     config : the settings.
     verification : what actions are verified against.
-    promise : what that promises, in a sentence.
-    by_default : whether nobody asked for these settings.
-    caution : why the traffic is not simulated where that would be better, in a sentence; "" elsewhere.
-    too_fast : that the ego cannot stop before a crossing, what was measured, and the remedy, in words; "" elsewhere.
+    promise : its meaning, in a sentence.
+    by_default : whether the user gave no settings.
+    caution : why the traffic is not simulated although that would be better, in a sentence; "" elsewhere.
+    too_fast : text on an ego that cannot stop before a crossing, with a measurement and the remedy; "" elsewhere.
     """
 
     config: ShieldConfig
@@ -96,8 +96,8 @@ class ChosenSettings:
     too_fast: str = ""
 
     def announce(self) -> None:
-        """Log the promise: as a warning with a caution, as information where nobody asked for the settings. An ego that
-        cannot stop before a crossing is a warning of its own."""
+        """Log the promise: as a warning with a caution, as information for default settings. An ego that cannot stop
+        before a crossing gives another warning."""
         if self.too_fast:
             _log.warning("%s", self.too_fast)
         if self.caution:
@@ -107,7 +107,7 @@ class ChosenSettings:
 
 
 def as_settings(given: ShieldConfig | str | Path | None) -> Given:
-    """Settings as users hand them in; a TOML file is read once.
+    """Settings from a user's argument; a TOML file is read once.
 
     Raises
     ------
@@ -120,11 +120,11 @@ def as_settings(given: ShieldConfig | str | Path | None) -> Given:
 
 
 def choose_settings(given: Given, place: Place) -> ChosenSettings:
-    """The settings for an environment of one ego or several.
+    """Settings for an environment of one ego or several.
 
-    Without settings, highway-env's own traffic is simulated on a network of roads, and wherever the worst case cannot
-    be verified to a standstill (several egos, tyres that slip, meta-actions without frames). Elsewhere, and where the
-    traffic is unknown, the worst case is taken.
+    Without given settings, highway-env's own traffic is simulated on road networks. It is also simulated wherever the
+    worst case cannot be verified to a standstill: with several egos, tyre slip, or meta-actions without frames.
+    Elsewhere, and with unknown traffic, the default is the worst case.
     """
     worst = _worst_case(place)
     if isinstance(given, str):
@@ -142,7 +142,7 @@ def choose_settings(given: Given, place: Place) -> ChosenSettings:
 
 
 def verification_of(config: ShieldConfig) -> Verification:
-    """What settings verify actions against on a road, where no rule of the user's decides."""
+    """What settings verify actions against on a road, without a user's rule."""
     if config.mode == "none":
         return Verification.OFF
     if config.mode != "full":
@@ -151,8 +151,8 @@ def verification_of(config: ShieldConfig) -> Verification:
 
 
 def why_it_cannot_stop(base: Any) -> str:
-    """That meta-actions cannot stop the ego before a crossing, what was measured, and the remedy, in words; "" where
-    they can, where no ways cross, and for other actions.
+    """Text on meta-actions that cannot stop the ego before a crossing, with a measurement and the remedy. "" if they
+    can, if no lanes cross, and for other actions.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def why_it_cannot_stop(base: Any) -> str:
 
 
 def why_not_simulated(base: Any) -> str:
-    """Why the traffic of an environment, unwrapped and reset, cannot be simulated, in words; "" where it can."""
+    """Why the traffic of an environment, unwrapped and reset, cannot be simulated, as text; "" if it can."""
     if isinstance(base, CompiledHighwayEnv):
         return ""
     try:
@@ -187,6 +187,7 @@ def why_not_simulated(base: Any) -> str:
 
 
 def _better_simulated(place: Place) -> bool:
+    """Whether the default is simulated traffic, if it can be simulated."""
     base = place.base
     if base is None or base.road is None or is_lot(base):
         return False
@@ -198,6 +199,7 @@ def _better_simulated(place: Place) -> bool:
 
 
 def _worst_case(place: Place) -> ShieldConfig:
+    """Settings of the worst case."""
     if place.inputs:
         return ShieldConfig()
     if not place.frames:
@@ -206,6 +208,7 @@ def _worst_case(place: Place) -> ShieldConfig:
 
 
 def _described(place: Place, config: ShieldConfig, by_default: bool = False, caution: str = "") -> ChosenSettings:
+    """The settings with their promise."""
     kind = verification_of(config)
     if config.mode == "full" and place.rule:
         kind = Verification.RULE

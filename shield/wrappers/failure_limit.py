@@ -1,5 +1,5 @@
-"""A fallback is for an instant: what goes wrong decision after decision is an error, and is raised as one. An action
-that is none of the environment's is warned of once."""
+"""Limit on repeated failures: a failure in many consecutive decisions is raised as an error. An invalid action gives
+one warning."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ _ERRORS: dict[Reason, type[PolicyError | SceneError]] = {
 
 
 class Patience:
-    """Says once that decisions cannot be made, and raises where that goes on.
+    """Logs the first decision that cannot be made, and raises after too many.
 
     Parameters
     ----------
-    most : decisions in a row with the same trouble that are left to the fallback; 0 for any number.
+    most : consecutive decisions with the same failure that are left to the fallback; 0 for any number.
     """
 
     def __init__(self, most: int) -> None:
         self._most, self._reason, self._count = most, Reason.NONE, 0
 
     def check(self, decision: Decision, cause: str = "") -> None:
-        """Take in a decision; `cause` is what is known of the trouble.
+        """Count a decision; `cause` describes its failure.
 
         Raises
         ------
         SceneError, PolicyError
-            If it is one more than `most` in a row of which the scene, or the policy's action, could not be read.
+            If the scene, or the policy's action, could not be read in more than `most` consecutive decisions.
         """
         if decision.reason not in _ERRORS:
             self._reason, self._count = Reason.NONE, 0
@@ -56,18 +56,17 @@ class Patience:
 
 
 class ActionWarning:
-    """Warns once of an action that is none of the environment's, and says which are."""
+    """Warns once of an invalid action, and lists the valid ones."""
 
     def __init__(self) -> None:
         self._told = False
 
     def check(self, decisions: Iterable[Decision], base: Any) -> None:
-        """Take in the decisions of one step.
+        """Check the decisions of one step.
 
         Parameters
         ----------
-        decisions : about one ego or several. base : the environment, unwrapped, or what is known of it
-            (`shield.Known`).
+        decisions : about one ego or several. base : the environment, unwrapped, or its prior map (`shield.Known`).
         """
         for decision in () if self._told else decisions:
             if decision.reason is Reason.BAD_ACTION:
@@ -87,7 +86,7 @@ class ActionWarning:
 
 
 def _valid(base: Any, proposed: Any) -> tuple[str, str]:
-    """The valid actions, and what one that is a name stands for."""
+    """Text on the valid actions, and a hint if the proposal is the name of one."""
     labels = action_labels(base)
     if not labels:
         return f"finite numbers of {base.action_space}", ""
@@ -97,5 +96,6 @@ def _valid(base: Any, proposed: Any) -> tuple[str, str]:
 
 
 def _name(base: Any, executed: Any) -> str:
+    """Name of an executed action; its text if the action has no name."""
     labels = action_labels(base)
     return labels.get(int(executed), str(executed)) if labels else str(executed)

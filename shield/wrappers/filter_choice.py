@@ -1,4 +1,4 @@
-"""Which door filters the actions of an environment: by their kind, by its road, and by what is assumed."""
+"""Choice of the filter for an environment: by kind of action, by road, and by assumptions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["Door", "door_for"]
 
 Door: TypeAlias = MetaDoor | InputDoor | ExactDoor | ExactInputDoor | RoadDoor
-"""What filters the actions of one ego."""
+"""A filter for the actions of one ego."""
 
 
 def door_for(
@@ -35,18 +35,19 @@ def door_for(
     model: StageModel | None = None,
     rule: Rule | None = None,
 ) -> Door:
-    """The door for an environment of one ego.
+    """The filter for an environment of one ego.
 
     Parameters
     ----------
-    env : the environment. config : settings. inputs : whether its actions are throttle and steering, and no
-        meta-actions. on_roads : whether others have to be looked for on a network of roads.
+    env : the environment. config : settings.
+    inputs : whether its actions are throttle and steering instead of meta-actions.
+    on_roads : whether the road is a network whose other roads matter.
     frames, perception : as of `Shield`. model, rule : as of `ShieldedEnv`.
 
     Raises
     ------
     ConfigError, SceneError
-        As of the door, or if it reads the simulator's state and observations are to be read.
+        As of the filter, or if it reads the simulator's state although `perception` asks for observations.
     """
     base = env.unwrapped
     if not inputs and not config.simulates and not (on_roads and config.mode == "full"):

@@ -1,4 +1,4 @@
-"""Environments that are out of reach: what a shield is told of them beforehand, or asks for once."""
+"""Prior maps of environments in other processes: given by the user, or queried once."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ __all__ = ["known_beforehand"]
 def known_beforehand(
     env: Any, known: Known | Sequence[Known] | None, frames: bool, perception: str | PerceptionConfig
 ) -> tuple[Known, ...]:
-    """What is known of each environment where nothing but its observations is read; nothing where it is in reach.
+    """Prior map of each environment whose observations are the only source; () if the environments are in this process.
 
     Parameters
     ----------
-    env : what the actions are meant for, None where there is nothing but `known`.
-    known : what the caller knows of it. frames, perception : as of `Shield`.
+    env : the environment that the actions are for; None if there is nothing but `known`.
+    known : prior maps given by the user. frames, perception : as of `Shield`.
 
     Raises
     ------
     ConfigError
-        If frames are to be supervised, or states to be read, of what is out of reach; or if there is not one `Known`
-        for each environment.
+        If frames of an environment in another process are to be supervised, or its state is to be read; or if the
+        number of prior maps differs from that of the environments.
     """
     remote = env is not None and hasattr(env, "num_envs") and not getattr(env, "envs", None)
     if known is None and not (remote and perception != "simulator"):

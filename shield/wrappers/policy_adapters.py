@@ -1,4 +1,4 @@
-"""What is handed in as a policy: models, networks and functions, as objects with SB3's `predict`."""
+"""Adapters of models, networks and functions to SB3's `predict`."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ def as_policy(policy: Any, env: Any) -> Any:
 
     Parameters
     ----------
-    policy : one of these already: an SB3 or sb3-contrib model, a bare `BasePolicy`, any object. A `torch.nn.Module`,
-        which maps a batch of observations, (n, ...), to scores of the actions, or to continuous ones. Or a function of
-        what `predict` is handed, one observation or a batch, that returns the action, or one for each.
+    policy : an object with such a method: an SB3 or sb3-contrib model, a bare `BasePolicy`, or any other. Or a
+        `torch.nn.Module`, which maps a batch of observations, (n, ...), to scores of the actions or to continuous
+        actions. Or a function that maps one observation, or a batch, to the action or actions.
     env : the environment, or the VecEnv, that it is for.
 
     Raises
     ------
     PolicyError
-        If it is none of these, is shielded already, or its `predict` does not take those arguments.
+        If it is none of these, is shielded already, or its `predict` does not accept those arguments.
     """
     if type(policy).__name__ == "Shield":
         raise PolicyError("this policy is a Shield already: another around it would filter what was filtered")
@@ -53,12 +53,12 @@ def as_policy(policy: Any, env: Any) -> Any:
 
 
 def refuse_misfits(policy: Any, env: Any) -> None:
-    """Raise where a model was made for other observations or actions than those of the environment.
+    """Check that the spaces of a model fit those of the environment.
 
     Raises
     ------
     PolicyError
-        If its spaces have other shapes.
+        If they have other shapes.
     """
     for name in ("observation_space", "action_space"):
         mine, theirs = getattr(policy, name, None), _single(env, name)
@@ -72,11 +72,12 @@ def refuse_misfits(policy: Any, env: Any) -> None:
 
 
 def _single(env: Any, name: str) -> Any:
+    """Space of a single environment; None if `env` has no such space."""
     return getattr(env, f"single_{name}", None) or getattr(env, name, None)
 
 
 def _alike(mine: Any, theirs: Any) -> bool:
-    """Whether two spaces are of one kind, shape and number of values, and so are the spaces within them."""
+    """Whether two spaces, and their subspaces, have the same kind, shape and number of values."""
     if type(mine) is not type(theirs) or mine.shape != theirs.shape:
         return False
     if isinstance(mine, gym.spaces.Dict):
@@ -88,6 +89,7 @@ def _alike(mine: Any, theirs: Any) -> bool:
 
 
 def _check_signature(policy: Any) -> None:
+    """Raise `PolicyError` unless `predict` accepts SB3's arguments."""
     try:
         signature = inspect.signature(policy.predict)
     except (TypeError, ValueError):
@@ -102,7 +104,7 @@ def _check_signature(policy: Any) -> None:
 
 
 class _Function:
-    """A function of the observation."""
+    """Adapter of a function of the observation."""
 
     def __init__(self, function: Any) -> None:
         self.function = function
@@ -114,19 +116,19 @@ class _Function:
         try:
             return np.asarray(actions), state
         except ValueError:
-            # Rows of different lengths: no action, or one for each of several environments.
+            # Rows of different lengths: an invalid action, or one action for each of several environments.
             return actions, state
 
 
 class _Network:
-    """A `torch.nn.Module`: scores of discrete actions, of which the best is taken, or continuous actions, clipped."""
+    """Adapter of a `torch.nn.Module`: the action with the best score, or continuous actions, clipped."""
 
     def __init__(self, network: Any, env: Any) -> None:
         self.network = network
         self.action_space, self.observation_space = _single(env, "action_space"), _single(env, "observation_space")
 
     def action_scores(self, observation: Any) -> Any:
-        """The scores of discrete actions, (n, actions); None of continuous ones."""
+        """Scores of discrete actions, (n, actions); None for continuous ones."""
         return self._outputs(observation)[0] if hasattr(self.action_space, "n") else None
 
     def predict(
@@ -140,12 +142,12 @@ class _Network:
         return (actions[0] if alone else actions), state
 
     def _outputs(self, observation: Any) -> tuple[np.ndarray[Any, Any], bool]:
-        """What the network makes of a batch, (n, outputs), and whether there was one observation only."""
+        """Outputs of the network for a batch, (n, outputs), and whether the input was a single observation."""
         import torch
 
         batch = np.asarray(observation, np.float32)
         alone = batch.ndim == len(self.observation_space.shape)
-        # The network's own device and precision; a network without parameters takes float32 on the CPU.
+        # Use the device and precision of the network; without parameters, float32 on the CPU.
         like = next((part for part in self.network.parameters() if part.is_floating_point()), torch.empty(0))
         with torch.no_grad():
             outputs = self.network(torch.as_tensor(batch[None] if alone else batch, device=like.device).to(like.dtype))

@@ -1,4 +1,4 @@
-"""What a policy prefers: its scores over discrete actions, and the order that they give."""
+"""Preferences of a policy: scores of discrete actions, and the order that follows from them."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ __all__ = ["Ranking", "normalised", "order_from_scores", "orders_from_scores", "
 
 
 def ranking_of(policy: Any, obs: Any) -> Any:
-    """Preference scores over discrete actions for a batch of observations, shape (n, actions), or None.
+    """Preference scores of discrete actions for a batch of observations, (n, actions), or None.
 
-    Q-values for value-based models, action probabilities for stochastic ones; higher is preferred. `policy` is an
-    SB3 or sb3-contrib model, a bare policy, or any object: one that offers `action_scores(obs)` is asked that.
-    None for recurrent policies, whose scores the observation alone does not give.
+    The scores are Q-values for value-based models and action probabilities for stochastic ones; higher is preferred.
+    `policy` is an SB3 or sb3-contrib model, a bare policy, or any object; its method `action_scores(obs)` takes
+    precedence. None for recurrent policies, whose scores depend on more than the observation.
     """
     import torch
 
@@ -40,23 +40,23 @@ def ranking_of(policy: Any, obs: Any) -> Any:
 
 
 def normalised(policy: Any, observation: Any) -> Any:
-    """An observation of the environment as a model has learned to see it: by the `VecNormalize` that it carries."""
+    """The observation as the model expects it: normalised by its `VecNormalize`, if it has one."""
     inside = getattr(policy, "get_vec_normalize_env", lambda: None)()
     return observation if inside is None else inside.normalize_obs(observation)
 
 
 def _ranked(scores: Any) -> IntArray:
-    """Action indices by falling score along the last axis; NaN scores come last."""
+    """Action indices in descending order of score along the last axis; NaN scores come last."""
     return np.argsort(-np.nan_to_num(np.asarray(scores, dtype=float), nan=-np.inf), axis=-1, kind="stable")
 
 
 def order_from_scores(scores: Any, proposed: int) -> list[int]:
-    """Action indices by falling score, without the proposal; NaN scores come last."""
+    """Action indices in descending order of score, without the proposal; NaN scores come last."""
     return [int(a) for a in _ranked(scores) if a != proposed]
 
 
 def orders_from_scores(scores: FloatArray, proposed: IntArray) -> IntArray:
-    """`order_from_scores` of many, scores (n, k) and proposals (n,), each ended with -1: (n, k)."""
+    """`order_from_scores` of many, scores (n, k) and proposals (n,), each terminated by -1: (n, k)."""
     ranked = _ranked(scores)
     n, k = ranked.shape
     others = ranked[ranked != proposed[:, None]].reshape(n, k - 1)
@@ -64,14 +64,20 @@ def orders_from_scores(scores: FloatArray, proposed: IntArray) -> IntArray:
 
 
 class Ranking:
-    """The policy's order of preference for one batch of observations, asked for at most once."""
+    """The policy's order of preference for one batch of observations, computed at most once."""
 
     def __init__(self, policy: Any, observation: Any) -> None:
         self._policy, self._observation = policy, observation
         self._scores: Any = None
 
     def order(self, row: int, proposed: int, actions: int) -> list[int] | None:
-        """Of so many actions, for one row of the batch, without what was proposed; None where the policy has none."""
+        """Order of the other actions, for one row of the batch; None if the policy has no scores for that number of
+        actions.
+
+        Parameters
+        ----------
+        row : of the batch. proposed : the proposal, which is left out. actions : number of actions.
+        """
         if self._scores is None:
             self._scores = (ranking_of(self._policy, self._observation),)
         scores = self._scores[0]

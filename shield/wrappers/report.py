@@ -1,4 +1,4 @@
-"""What a step reports of the shield."""
+"""Reports of the shield's decisions in a step and in an episode."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ __all__ = ["Offences", "Statistics", "report", "team_record", "team_report"]
 
 
 class Offences:
-    """How often the traffic had broken the assumptions when something began, as a door counts it."""
+    """Number of violations of a filter at one time, for the difference to a later one."""
 
     def __init__(self, door: Any) -> None:
         self._violations: int = door.violations
         self._by_rule: dict[str, int] = door.by_rule
 
     def since(self, door: Any) -> tuple[int, dict[str, int]]:
-        """How often it has since then, and how often each rule was broken."""
+        """Number of violations since then, and by rule."""
         rules = {rule: count - self._by_rule.get(rule, 0) for rule, count in door.by_rule.items()}
         return door.violations - self._violations, {rule: count for rule, count in rules.items() if count}
 
 
 @dataclass(slots=True)
 class Statistics:
-    """What a shield has done so far.
+    """Totals of a shield's decisions so far.
 
     Attributes
     ----------
-    decisions, overridden : how many there were, and of how many the action or a frame was replaced.
-    held_back : how many of `overridden` kept the proposed action, and had frames replaced only.
-    frames_overridden, violations : frames that were replaced, and offences of the traffic.
-    rules : how often each rule was broken; who breaks several at once is one offence.
-    reasons : how often each was the reason.
-    margin : the smallest that is known of what was executed [m]; NaN where there is none.
-    latency : all the time that it took [s].
-    guarantee : the weakest of all steps. The summary has `Guarantee.BROKEN` where there were offences.
+    decisions, overridden : number of decisions, and of those in which the action or a frame was replaced.
+    held_back : the decisions among `overridden` that kept the proposed action, and replaced only frames.
+    frames_overridden, violations : number of replaced frames, and of violations by the traffic.
+    rules : violations of each rule; several rules violated by a vehicle at once are one violation in `violations`.
+    reasons : number of decisions with each reason.
+    margin : least known margin of an executed plan [m]; NaN without one.
+    latency : total time of the decisions [s].
+    guarantee : the weakest of all steps. The summary has `Guarantee.BROKEN` after a violation.
     """
 
     decisions: int = 0
@@ -56,7 +56,7 @@ class Statistics:
     guarantee: Guarantee = Guarantee.ALL_SEEN
 
     def add(self, report: Mapping[str, Any], latency: float) -> None:
-        """Count one report, and the time that the decision and its frames took [s]."""
+        """Add one report, and the time of the decision and its frames [s]."""
         self.decisions += 1
         self.overridden += report["overridden"]
         self.held_back += report["intervention"] == Intervention.HELD_BACK
@@ -69,13 +69,13 @@ class Statistics:
         self.guarantee = weakest(self.guarantee, Guarantee(report["guarantee"]))
 
     def add_offences(self, violations: int, rules: Mapping[str, int]) -> None:
-        """Count offences of the traffic that no report has."""
+        """Add violations by the traffic that no report contains."""
         self.violations += violations
         self.rules.update(rules)
 
     def summary(self) -> dict[str, Any]:
-        """As `info["shield_episode"]` has it: the counts, the margin, the mean latency of a decision [ms], and the
-        weakest guarantee: no better than `Guarantee.BROKEN` where the traffic has broken an assumption."""
+        """Content of `info["shield_episode"]`: the counts, the margin, the mean latency of a decision [ms], and the
+        weakest guarantee. The guarantee is no better than `Guarantee.BROKEN` after a violation."""
         return {
             "decisions": self.decisions,
             "overridden": self.overridden,
@@ -91,11 +91,11 @@ class Statistics:
 
 
 def report(record: Decision, violations: int, rules: Mapping[str, int]) -> dict[str, Any]:
-    """The record of a step (`Decision.with_frames`) as `info["shield"]` has it.
+    """Content of `info["shield"]` for the record of a step (`Decision.with_frames`).
 
     Parameters
     ----------
-    violations, rules : of the assumptions, by the traffic; and how often each rule was broken.
+    violations, rules : number of violations of the assumptions by the traffic, in total and by rule.
     """
     return {
         "overridden": record.overridden,
@@ -112,7 +112,7 @@ def report(record: Decision, violations: int, rules: Mapping[str, int]) -> dict[
 
 @dataclass(frozen=True, slots=True)
 class _OfOne:
-    """Explains the record of several egos by the first of them whose proposal was refused."""
+    """Explains the record of several egos by its first refused proposal."""
 
     decision: Decision
 
@@ -122,7 +122,7 @@ class _OfOne:
 
 
 def team_record(decisions: Sequence[Decision]) -> Decision:
-    """The decisions about several egos as one record, with a tuple of their proposals and one of what was executed."""
+    """The decisions about several egos as one record, with tuples of the proposed and of the executed actions."""
     together = decisions[0].with_frames(decisions[1:])
     proposed, executed = (tuple(getattr(each, name) for each in decisions) for name in ("proposed", "executed"))
     first = None if together.refusal is None else together.refusal[0]
@@ -140,5 +140,5 @@ def team_record(decisions: Sequence[Decision]) -> Decision:
 def team_report(
     record: Decision, decisions: Sequence[Decision], violations: int, rules: Mapping[str, int]
 ) -> dict[str, Any]:
-    """The record of several egos, see `team_record`, and each decision by itself under `agents`."""
+    """The record of several egos, see `team_record`, and the report of each decision under `agents`."""
     return {**report(record, violations, rules), "agents": [report(each, 0, {}) for each in decisions]}

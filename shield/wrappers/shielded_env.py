@@ -48,32 +48,32 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """Wraps a highway-env environment with meta-actions or continuous ones; reads the simulator's true state.
 
     At each decision the proposed meta-action is verified and, if need be, replaced. Between two decisions every
-    simulation frame is supervised: when the committed meta-action has become unsafe, the frame is held back
-    with bounded acceleration, or the ego keeps its lane. Throttle and steering are verified at every frame, and
-    replaced by the nearest inputs that verify.
+    simulation frame is supervised. If the target command does not verify any more, an acceleration cap or the present
+    lane replaces it for the frame. Throttle and steering are verified at every frame, and replaced by the nearest
+    inputs that verify.
 
-    With `ShieldConfig.simulated_traffic()` the traffic is simulated instead, on every road with known traffic:
-    meta-actions are verified when they are taken, throttle and steering at every frame. Several egos with meta-actions
-    (`MultiAgentAction`) are verified together: `step` takes a tuple of actions then.
+    With `ShieldConfig.simulated_traffic()` the traffic is simulated instead, on every road with known traffic. Then
+    meta-actions are verified at each decision, and throttle and steering at every frame. Several egos with meta-actions
+    (`MultiAgentAction`) are verified together; `step` then takes a tuple of actions.
 
     Parameters
     ----------
     env : the environment: with meta-actions on any road; with continuous actions on straight highways, racetracks and
         parking lots, and with `ShieldConfig.simulated_traffic()` on every other road.
     config : settings, the path of a TOML file with them, "simulated" (`ShieldConfig.simulated_traffic()`) or
-        "worst-case". By default highway-env's own traffic is simulated on networks of roads, with several egos, and
-        with tyres that slip; elsewhere, and where the traffic is unknown, actions are verified against the worst case.
-        A line in the log of "shield" says what is promised, a warning where the traffic is unknown.
-    policy : where given, alternatives are tried in its order of preference (probabilities or Q-values of the
-        last observation).
-    model : what the predictive filter plans with for `ContinuousAction`, such as
-        `dynamics.learned.models.casadi_steps.LearnedSteps`; the bicycle by default. All is verified on the bicycle.
-    rule : a rule of one's own (`shield.rules.Rule`), which decides alone, as the modes of `shield.config.RULES_ALONE`
-        do: nothing is verified then, and no frame supervised. `shield.testing.check_rule` tries it.
-
-    perception : what scenes are read from: "simulator", its true state, or "observation", nothing of the traffic but
-        what the policy observes (Kinematics, grids; meta-actions, a highway), sensed anew at each frame; or a
-        `PerceptionConfig`, which has the settings of the latter.
+        "worst-case". By default highway-env's own traffic is simulated on road networks, with several egos, and with
+        tyre slip. Elsewhere, and with unknown traffic, actions are verified against the worst case. A line in the log
+        of "shield" states the promise, as a warning if the traffic is unknown.
+    policy : if given, alternatives are tried in its order of preference (probabilities or Q-values of the last
+        observation).
+    model : model of the predictive filter for `ContinuousAction`, such as
+        `dynamics.learned.models.casadi_steps.LearnedSteps`; the bicycle by default. All plans are verified with the
+        bicycle.
+    rule : a user's own rule (`shield.rules.Rule`), which decides alone, as in the modes of `shield.config.RULES_ALONE`.
+        Then no action is verified and no frame supervised. `shield.testing.check_rule` tests it.
+    perception : source of the scenes. "simulator": its true state. "observation": the policy's observations only, for
+        the traffic (Kinematics, grids; meta-actions, a highway), with a new observation at each frame. A
+        `PerceptionConfig` has the settings of the latter.
 
     Attributes
     ----------
@@ -85,25 +85,36 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     SceneError
         If the environment's road or number of controlled vehicles is not supported.
     PolicyError
-        If `policy` cannot be used as one, or was made for other observations or actions.
+        If `policy` is unsuitable, or was made for other observations or actions.
     ConfigError
-        If its action type is neither `DiscreteMetaAction` nor `ContinuousAction`, or meta-actions in a parking lot; if
-        a wrapper inside changes the actions, which `step` finds out of one that is no `ActionWrapper`; or if the
-        settings cannot be read.
+        If its action type is neither `DiscreteMetaAction` nor `ContinuousAction`, or it is a parking lot with
+        meta-actions. If a wrapper inside changes the actions (`step` detects one that is not an `ActionWrapper`). If
+        the settings cannot be read.
 
     Notes
     -----
-    `info["shield"]` is read from `last_decision`, the record of the step. It holds `overridden`, `intervention` (a
-    `shield.decision.Intervention`: "none", "held back" or "other action"), `reason`, `tier`, `margin` [m] (NaN where
-    none is known), `frames_overridden`, `violations` (of the assumptions, by the traffic), `rules` (how often each was
-    broken, by name), `guarantee` (a `shield.decision.Guarantee`, the weakest of the decision and its frames) and
-    `verification` (a `shield.decision.Verification`, what actions are verified against), and of several egos `agents`,
-    the same of each; `latency` is all the time that the shield took in the last step [s]. With an episode's last step
-    comes `info["shield_episode"]`: `decisions`, how many were `overridden`, and of these only `held_back`,
-    `frames_overridden`, `violations`, `rules`, the smallest `margin` [m], the mean `latency_ms`, `reasons`, how often
-    each was one, and the weakest `guarantee`: no better than "assumptions broken" where there were violations. Of an
-    episode that a wrapper outside ends (`TimeLimit`), `statistics` has it, and the info of
-    the next `reset`.
+    `info["shield"]` is read from `last_decision`, the record of the step. `latency` is the total time of the shield in
+    the last step [s].
+
+    - `overridden`, and `intervention`, a `shield.decision.Intervention`: "none", "held back" or "other action".
+    - `reason` and `tier`.
+    - `margin` [m]; NaN if none is known.
+    - `frames_overridden`: number of replaced frames.
+    - `violations`: number of violations of the assumptions by the traffic, and `rules`, the same by rule.
+    - `guarantee`: a `shield.decision.Guarantee`, the weakest of the decision and its frames.
+    - `verification`: a `shield.decision.Verification`, what actions are verified against.
+    - `agents`: the same for each of several egos.
+
+    The last step of an episode has `info["shield_episode"]`:
+
+    - `decisions`, the number of these that were `overridden`, and of these the number that were only `held_back`.
+    - `frames_overridden`, `violations`, `rules`.
+    - the least `margin` [m] and the mean `latency_ms`.
+    - `reasons`: number of decisions with each reason.
+    - the weakest `guarantee`, no better than "assumptions broken" after a violation.
+
+    If an outer wrapper ends the episode (`TimeLimit`), this summary is in `statistics` and in the info of the next
+    `reset`.
 
     Examples
     --------
@@ -167,16 +178,16 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     @property
     def last_decision(self) -> Decision | None:
-        """The record of the last step, which `info["shield"]` is read from; None before the first. Of several egos,
-        their records as one, with tuples of what was proposed and executed."""
+        """The record of the last step, from which `info["shield"]` is read; None before the first. For several egos one
+        record, with tuples of the proposed and of the executed actions."""
         if not self.decisions:
             return None
         return team_record(self.decisions) if isinstance(self._door, TeamDoor) else self.last_decisions[0]
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset the environment and forget everything about the last episode.
+        """Reset the environment and clear everything about the last episode.
 
-        `info["shield_episode"]` is of that episode, where a wrapper outside has ended it: no step could say so.
+        `info["shield_episode"]` is about that episode, if an outer wrapper has ended it, so that no step reported it.
         """
         if self._episode.decisions and not self._summed and self._base.road is self._road:
             before = Offences(self._door)
@@ -202,7 +213,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return obs, info
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Filter one meta-action, run it under supervision, and report in `info["shield"]`."""
+        """Filter one action, run it under supervision, and report in `info["shield"]`."""
         if self._base.road is None:
             raise SceneError("the environment has no road yet; call reset() first")
         start = perf_counter()
@@ -228,7 +239,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         check_step(self._base, frames, executed, info)
         self._observation = obs
         self.latency = deciding + self._supervising
-        # highway-env's wrapper for several egos rewards each, and says of each whether it is over for it.
+        # highway-env's wrapper for several egos returns tuples of rewards and of terminations.
         each: Any = terminated
         ended = truncated or (self._base._is_terminated() if isinstance(each, tuple) else terminated)
         if ended:
@@ -249,7 +260,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return obs, paid, terminated, truncated, info
 
     def _settings(self, kind: str) -> ChosenSettings:
-        """What was handed in, or what is taken without: that may change with the traffic, at a reset."""
+        """The given settings, or the default, which may change with the traffic at a reset."""
         observes = self._perception != "simulator"
         return choose_settings(
             self._given,
@@ -262,7 +273,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         )
 
     def _kind(self) -> str:
-        """What the policy decides about."""
+        """Name of the action type."""
         return "MultiAgentAction" if is_team(self._base) else the_action_type([self._base], "ShieldedEnv")
 
     @property
@@ -277,11 +288,11 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     @property
     def promise(self) -> str:
-        """What that promises, in a sentence."""
+        """Meaning of the verification, in a sentence."""
         return self._chosen.promise
 
     def _made(self, kind: str) -> Door | TeamDoor:
-        """What filters, by the settings chosen."""
+        """The filter for the chosen settings."""
         config = self.config
         door: Door | TeamDoor
         if is_team(self._base):
@@ -298,7 +309,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
                 model=self._model,
                 rule=self._rule,
             )
-        # After what is refused without them as well.
+        # Last, because the filter's own refusals apply without rule and model too.
         if config.simulates and (self._rule is not None or self._model is not None):
             raise ConfigError("Assumptions.simulated_traffic() verifies by simulation: leave rule and model out")
         warm_up_door(door)
@@ -308,47 +319,47 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return door
 
     def action_masks(self) -> np.ndarray[Any, Any]:
-        """Which actions verify now, for sb3-contrib's MaskablePPO; all True where none does.
+        """Mask of the actions that verify now, for sb3-contrib's MaskablePPO; all True if none does.
 
-        (MaskablePPO cannot handle an empty mask; `step` then falls back whatever is chosen.)
+        (MaskablePPO cannot handle an empty mask; then `step` falls back for any action.)
         """
         if not isinstance(self._door, MetaDoor | ExactDoor | RoadDoor):
             raise ConfigError("action_masks() needs DiscreteMetaAction of one ego; this environment has other actions")
         return self._door.mask()
 
     def record(self) -> None:
-        """Keep in each decision from now on what films and overlays draw, as with `ShieldConfig.record`."""
+        """Keep in each later decision the data for films and overlays, as with `ShieldConfig.record`."""
         self._recording = True
         self._door.record()
 
     @property
     def statistics(self) -> Statistics:
-        """What has been done in this episode so far; `statistics.summary()` is what `info["shield_episode"]` has.
+        """Totals of this episode so far; `statistics.summary()` is the content of `info["shield_episode"]`.
 
-        For an episode that a wrapper outside ends, such as `TimeLimit`: `env.get_wrapper_attr("statistics")`.
+        For an episode that an outer wrapper ends, such as `TimeLimit`: `env.get_wrapper_attr("statistics")`.
         """
         return deepcopy(self._episode)
 
     @property
     def door(self) -> Door | TeamDoor:
-        """What filters: its class says what is verified and how."""
+        """The filter; its class determines the kind of verification."""
         return self._door
 
     @property
     def core(self) -> Core[Any]:
-        """What decides, and remembers.
+        """The decision core, with the memory.
 
         Raises
         ------
         AttributeError
-            If the traffic is simulated, or on a network of roads: the doors for that have none.
+            If the traffic is simulated, or on a road network: the filters for these have none.
         """
         if isinstance(self._door, ExactDoor | ExactInputDoor | TeamDoor | RoadDoor):
             raise AttributeError("there is no core where the traffic is simulated, and on networks of roads")
         return self._door.core
 
     def _order_of(self, action: Any) -> Callable[[], list[int] | None] | None:
-        """The policy's order of preference over what it has not proposed, where it is needed."""
+        """Function for the policy's order of preference over the other actions; None without a policy."""
         return None if self.policy is None else lambda: self._order(action_index(action))
 
     def _order(self, proposed: int) -> list[int] | None:

@@ -45,7 +45,7 @@ _log = logging.getLogger(__name__)
 
 
 class _Proposed(NamedTuple):
-    """What a policy has said: its actions and its state; why it failed, where it has, and what it raised."""
+    """A policy's output: its actions and its state; the reason and the cause of a failure."""
 
     actions: Any
     state: Any
@@ -54,40 +54,40 @@ class _Proposed(NamedTuple):
 
 
 class Shield(WrappedPolicy):
-    """Wraps a policy; `predict` returns its action where that verifies, and an alternative otherwise.
+    """Wraps a policy; `predict` returns its action if that verifies, and an alternative otherwise.
 
-    The shield reads the simulator's true state unless `perception` says otherwise: the observation alone does not show
-    who drives behind. It also has the last word at each simulation frame between two calls of `predict`, as
-    `ShieldedEnv` does: a meta-action lasts for many frames, in which the world moves on.
+    The shield reads the simulator's true state unless `perception` is set: observations do not show vehicles behind. It
+    also supervises each simulation frame between two calls of `predict`, as `ShieldedEnv` does, because a meta-action
+    lasts for many frames.
 
     Parameters
     ----------
     policy : an SB3 or sb3-contrib model, a bare `BasePolicy`, any object with SB3's `predict()`, a `torch.nn.Module`
         (scores of the actions, or continuous ones), or a function of the observation.
-    env : the environment(s) that the actions are meant for: a Gymnasium environment or a VecEnv. Without it the
-        environment that the model carries is used; `predict` raises where another one is driven. One of other processes
-        is for `perception="observation"` with `frames=False`: it is asked once for its configuration.
+    env : the environment(s) that the actions are for: a Gymnasium environment or a VecEnv. By default the environment
+        of the model; `predict` raises if another one is driven. A VecEnv of other processes requires
+        `perception="observation"` and `frames=False`; it is queried once for its configuration.
     config : settings, the path of a TOML file, "simulated" or "worst-case"; the default as of `ShieldedEnv`. In the
         worst case, meta-actions without `frames` have `ShieldConfig.for_meta_actions()`.
-    frames : whether the frames between two decisions are supervised. Without, `Shield` is a pure filter of actions: it
-        touches nothing but what `predict` returns, and has to look seconds ahead with what it assumes. With
+    frames : whether the frames between two decisions are supervised. Without supervision `Shield` changes nothing but
+        the result of `predict`, and its assumptions have to hold for seconds ahead. With
         `ShieldConfig.simulated_traffic()` it simulates the traffic instead; meta-actions then need no supervision.
-    perception : what scenes are read from: "simulator", its true state, or "observation", nothing of the traffic but
-        what reaches `predict` (Kinematics, grids; meta-actions, a highway), and at the frames between what the
-        environment would show then; or a `PerceptionConfig`, which has the settings of the latter.
-    known : what is known beforehand of the environment, or of each of several; then nothing of it is read but the
-        observations that reach `predict`, and there need not be one. For "observation" with `frames=False`; highways in
-        other processes are asked for it (`Known.of`). Each `predict` is then taken for the next decision; say with
-        `episode_start`, or `reset()`, where an episode begins.
+    perception : source of the scenes. "simulator": its true state. "observation": the observations that `predict` gets
+        only, for the traffic (Kinematics, grids; meta-actions, a highway), and the environment's observations at the
+        frames between. A `PerceptionConfig` has the settings of the latter.
+    known : prior map of the environment, or of each of several. Then the observations that `predict` gets are the only
+        other source, and `env` may be None. It requires "observation" with `frames=False`; highways in other processes
+        are queried for it (`Known.of`). Each `predict` counts as the next decision; `episode_start`, or `reset()`,
+        marks the beginning of an episode.
 
     Raises
     ------
     PolicyError
         If `policy` is none of these, or was made for other observations or actions.
     ConfigError
-        If there is no highway-env environment to read the scene from, it is shielded already, its actions are neither
-        meta-actions nor continuous, or it is a parking lot and they are not continuous, or cannot brake; or if the
-        settings cannot be read.
+        If there is no highway-env environment to read the scene from, or it is shielded already. If its actions are
+        neither meta-actions nor continuous. If it is a parking lot with other actions than continuous ones, or with
+        actions that cannot brake. If the settings cannot be read.
     SceneError
         If its road is not supported.
 
@@ -160,12 +160,12 @@ class Shield(WrappedPolicy):
         self.frame_decisions: list[list[Decision]] = [[] for _ in range(n)]
 
     def _settings(self, i: int) -> ChosenSettings:
-        """What was handed in, or what environment `i` is given without."""
+        """The given settings, or the default for environment `i`."""
         observes = bool(self._known) or self._perception != "simulator"
         return choose_settings(self._given, Place(self._bases[i], self._inputs, self._frames, observes))
 
     def _made(self, i: int) -> Door:
-        """What filters in environment `i`, by the settings chosen for it."""
+        """The filter for environment `i` with its chosen settings."""
         chosen, base = self._chosen[i], self._bases[i]
         door = door_for(
             getattr(self._env, "envs", [self._env])[i],
@@ -175,7 +175,7 @@ class Shield(WrappedPolicy):
             frames=self._frames,
             perception=self._perception,
         )
-        # After what is refused with frames as well.
+        # Last, because the filter's own refusals apply with frames too.
         if chosen.config.simulates and self._inputs and not self._frames:
             raise ConfigError(
                 "Assumptions.simulated_traffic() verifies throttle and steering at every frame: frames=True"
@@ -188,29 +188,29 @@ class Shield(WrappedPolicy):
         return door
 
     def record(self) -> None:
-        """Keep in each decision from now on what films and overlays draw, as with `ShieldConfig.record`."""
+        """Keep in each later decision the data for films and overlays, as with `ShieldConfig.record`."""
         self._recording = True
         for door in self._doors:
             door.record()
 
     @property
     def doors(self) -> tuple[Door, ...]:
-        """What filters, in each environment: its class says what is verified and how."""
+        """The filter of each environment; its class determines the kind of verification."""
         return tuple(self._doors)
 
     @property
     def config(self) -> ShieldConfig:
-        """The settings (of the first environment, where there are several)."""
+        """The settings (of the first environment, if there are several)."""
         return self._chosen[0].config
 
     @property
     def verification(self) -> Verification:
-        """What actions are verified against (in the first environment, where there are several)."""
+        """What actions are verified against (in the first environment, if there are several)."""
         return self._chosen[0].verification
 
     @property
     def promise(self) -> str:
-        """What that promises, in a sentence."""
+        """Meaning of the verification, in a sentence."""
         return self._chosen[0].promise
 
     @property
@@ -221,24 +221,24 @@ class Shield(WrappedPolicy):
 
     @property
     def last_decision(self) -> Decision | None:
-        """The record of the first environment in `last_decisions`, which `report()` is read from; None before the first
+        """The record of the first environment in `last_decisions`, from which `report()` is read; None before the first
         `predict`."""
         return self.last_decisions[0] if self.decisions else None
 
     def report(self, i: int = 0) -> dict[str, Any]:
-        """What `ShieldedEnv` has in `info["shield"]`, of environment `i` since the last `predict`.
+        """Content of `info["shield"]` in `ShieldedEnv`, of environment `i` since the last `predict`.
 
         Raises
         ------
         ConfigError
-            If there has been none.
+            If `predict` has not been called.
         """
         if not self.decisions:
             raise ConfigError("report() is about the last decision; call predict() first")
         base = self._bases[i]
         same = base is not None and base.road is self._roads[i]
         if same and base.steps >= self._decided[i] + frames_of(base):
-            # The decision has been driven, and none may come that judges the last frame of it.
+            # All frames of the decision are over, and perhaps no later decision runs the monitor on the last one.
             self._doors[i].look()
         offences = self._counted[i].since(self._doors[i])
         told = report(self.decisions[i].with_frames(self.frame_decisions[i]), *offences)
@@ -246,7 +246,7 @@ class Shield(WrappedPolicy):
 
     @property
     def statistics(self) -> Statistics:
-        """What has been done since this shield was made, in all environments."""
+        """Totals of all environments since this shield was made."""
         statistics = deepcopy(self._statistics)
         for i in range(len(self.decisions)):
             statistics.add(self.report(i), self._latency(i))
@@ -254,14 +254,14 @@ class Shield(WrappedPolicy):
 
     @property
     def latency(self) -> float:
-        """All the time that the shield took since `predict` was called last, the policy's own excepted [s]."""
+        """Total time of the shield since the last `predict`, without the policy's own [s]."""
         return sum(self._latency(i) for i in range(len(self.decisions)))
 
     def _latency(self, i: int) -> float:
         return sum(d.latency for d in (self.decisions[i], *self.frame_decisions[i]))
 
     def reset(self) -> None:
-        """Forget everything; done by itself when an environment starts a new episode."""
+        """Clear everything about the episodes. Called automatically when an environment starts a new episode."""
         self._statistics = self.statistics
         for i, door in enumerate(self._doors):
             door.reset()
@@ -285,7 +285,7 @@ class Shield(WrappedPolicy):
         Parameters
         ----------
         observation : one observation, or a batch with one row per environment.
-        state, episode_start, deterministic : passed through to the policy.
+        state, episode_start, deterministic : passed to the policy.
 
         Returns
         -------
@@ -294,11 +294,12 @@ class Shield(WrappedPolicy):
         Raises
         ------
         ConfigError
-            If there are several environments, and the policy returns another number of actions. The wrong shape for a
-            single environment is no action: the fallback acts, and the record says `bad_action`.
+            If there are several environments, and the policy returns another number of actions. (For a single
+            environment, an output of the wrong shape is an invalid action. The fallback acts, and the record has
+            `bad_action`.)
         SceneError
-            If the observation has changed, and the environment that the shield reads has not moved; or its road is not
-            supported; or if it could not be read in more than `ShieldConfig.patience` decisions in a row.
+            If the observation has changed, but not the environment that the shield reads. If its road is not supported.
+            If it could not be read in more than `ShieldConfig.patience` consecutive decisions.
         PolicyError
             If the policy has failed in as many.
         """
@@ -321,14 +322,14 @@ class Shield(WrappedPolicy):
 
     @property
     def _form(self) -> tuple[int, bool]:
-        """How many numbers an action has, and whether it is a whole one."""
+        """Number of values in an action, and whether it is a whole number."""
         first = self._doors[0]
         if not isinstance(first, InputDoor | ExactInputDoor):
             return 1, True
         return first.actuators.entries, first.actuators.choices is not None
 
     def _propose(self, observation: Any, state: Any, episode_start: Any, deterministic: bool) -> _Proposed:
-        """What the policy says. One that breaks must not take the car with it: the record says that it did."""
+        """Output of the policy. An error of the policy becomes a reason in the record."""
         try:
             actions, state = self.policy.predict(
                 observation, state=state, episode_start=episode_start, deterministic=deterministic
@@ -343,6 +344,7 @@ class Shield(WrappedPolicy):
         return _Proposed(actions, state, Reason.POLICY_FAILED if broken else None)
 
     def _decide(self, i: int, proposal: Any, ranking: Ranking, reason: Reason | None) -> Decision:
+        """Decision for environment `i`, with its frames supervised from now on."""
         door, base = self._doors[i], self._bases[i]
         wanted: Any = None
         if not self._inputs:
@@ -358,7 +360,7 @@ class Shield(WrappedPolicy):
         return decision
 
     def _begin(self, i: int, episode_start: Any) -> None:
-        """Count the last decision, and forget the last episode where this is another."""
+        """Add the last decision to the statistics, and clear the last episode if a new one has begun."""
         door, base = self._doors[i], self._bases[i]
         if len(self.decisions) > i:
             self._statistics.add(self.report(i), self._latency(i))
@@ -376,8 +378,8 @@ class Shield(WrappedPolicy):
         self._counted[i], self.frame_decisions[i] = Offences(door), []
 
     def _show(self, observation: Any, unsaid: bool) -> None:
-        """Hand each environment's observation to what makes a scene of it; `unsaid`, whether nobody says where an
-        episode begins."""
+        """Present each environment's observation to its scene reader. With `unsaid`, no caller marks the beginning of
+        an episode."""
         if not isinstance(self._doors[0], MetaDoor) or not self._doors[0].observing:
             return
         shown, n = as_shown(self._env, observation), len(self._doors)
@@ -395,7 +397,7 @@ class Shield(WrappedPolicy):
         return len(self._known[i].actions) if self._known else int(self._bases[i].action_space.n)
 
     def _batched(self, observation: Any) -> bool:
-        """Whether an observation is of several environments, or one in a row of its own."""
+        """Whether an observation is of several environments, or a batch of one."""
         space, seen = getattr(self._env, "observation_space", None), observation
         if space is None:
             return len(self._doors) > 1 or _dimensions(seen) > len(self._known[0].shape)
@@ -413,7 +415,7 @@ class Shield(WrappedPolicy):
 
 
 def _dimensions(observation: Any) -> int:
-    """How many dimensions an observation has, 0 where its rows differ in length and it is no array."""
+    """Number of dimensions of an observation; 0 for rows of different lengths."""
     try:
         return np.ndim(observation)
     except (TypeError, ValueError):
@@ -421,7 +423,7 @@ def _dimensions(observation: Any) -> int:
 
 
 def _row(observation: Any, i: int, n: int) -> Any:
-    """What one environment of several has shown."""
+    """Observation of environment `i` of `n`."""
     if n == 1:
         return observation
     if isinstance(observation, dict):

@@ -1,4 +1,4 @@
-"""Whether the environment that the shield reads is the one that is driven."""
+"""Check that the environment that the shield reads is the one that is driven."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["Liveness"]
 
 
 class Liveness:
-    """Notices that a policy is asked about observation after observation while the environment stands still.
+    """Detects an environment that stands still while its observations change.
 
     Parameters
     ----------
@@ -25,14 +25,14 @@ class Liveness:
         self._last: tuple[Any, Any, bytes] | None = None
 
     def check(self, observation: Any) -> None:
-        """Take in what the policy is asked about.
+        """Compare with the last observation.
 
         Raises
         ------
         SceneError
-            If it is another observation than the last, and neither the episode nor the environment's clock has moved.
+            If the observation has changed, and neither the episode nor the environment's clock has.
         ConfigError
-            If the environment has carried out more than one decision since.
+            If the environment has executed more than one decision since.
         """
         road, frame, seen = self._base.road, getattr(self._base, "steps", None), _bytes(observation)
         last, self._last = self._last, (road, frame, seen)
@@ -49,6 +49,7 @@ class Liveness:
 
 
 def _bytes(observation: Any) -> bytes:
+    """Bytes of an observation, for a comparison."""
     if isinstance(observation, dict):
         return b"".join(_bytes(observation[key]) for key in sorted(observation))
     if isinstance(observation, tuple | list):

@@ -1,4 +1,4 @@
-"""Compiling what a door calls before its first decision."""
+"""Compilation of a filter's kernels before its first decision."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from shield.wrappers.filter_choice import Door
 __all__ = ["warm_up_door", "warm_up_exact", "warm_up_exact_inputs", "warm_up_explanations", "warm_up_roads"]
 
 _EXPLANATIONS = {True: "simulated explanations on networks", False: "simulated explanations on highways"}
-"""Parts, by whether the traffic is simulated as a network of roads."""
+"""Parts, by whether the traffic is simulated as a road network."""
 
 
 def warm_up_door(door: Door | TeamDoor) -> None:
-    """Let no decision of a door wait for a compiler."""
+    """Compile the kernels of a filter."""
     if isinstance(door, TeamDoor):
         warm_up_exact(True)
     elif isinstance(door, ExactDoor):
@@ -38,7 +38,7 @@ def warm_up_door(door: Door | TeamDoor) -> None:
 
 @cache
 def warm_up_exact(network: bool) -> None:
-    """What `warm_up` does for the other doors, on a straight highway or on a network of roads."""
+    """Compile the filter of meta-actions in simulated traffic, on a straight highway or on a road network."""
     with announced("simulated networks" if network else "simulated highways"):
         env = gym.make("u-turn-v1") if network else gym.make("highway-fast-v0", config={"vehicles_count": 3})
         env.reset(seed=0)
@@ -48,20 +48,20 @@ def warm_up_exact(network: bool) -> None:
 
 @cache
 def warm_up_exact_inputs() -> None:
-    """What `warm_up` does for the other doors."""
+    """Compile the filter of throttle and steering in simulated traffic."""
     with announced("simulated throttle and steering"):
         env = gym.make("highway-fast-v0", config={"vehicles_count": 3, "action": {"type": "ContinuousAction"}})
         env.reset(seed=0)
         door = ExactInputDoor(env.unwrapped, ShieldConfig.simulated_traffic())
         for action in ([0.0, 0.0], [1.0, 1.0], [np.nan, 0.0]):
             door.decide(action)
-    # Throttle and steering are simulated as on a network, on a straight highway too.
+    # Throttle and steering are simulated as on a network, even on a straight highway.
     _load_explanations(True)
 
 
 @cache
 def warm_up_explanations(network: bool) -> None:
-    """Compile what `Decision.explain` calls in simulated traffic, or read it from the disk."""
+    """Compile the kernels of `Decision.explain` in simulated traffic, or load them from the disk."""
     with announced(_EXPLANATIONS[network]):
         env = gym.make("u-turn-v1") if network else gym.make("highway-fast-v0", config={"vehicles_count": 3})
         env.reset(seed=0)
@@ -69,15 +69,15 @@ def warm_up_explanations(network: bool) -> None:
 
 
 def _load_explanations(network: bool) -> None:
-    """Read the kernels of explanations where they are compiled already; the first explanation compiles them elsewhere,
-    and no decision waits for that."""
+    """Load the kernels of explanations if they are compiled already. Otherwise the first explanation compiles them, so
+    that no decision waits for that."""
     if not estimated_units(_EXPLANATIONS[network]):
         warm_up_explanations(network)
 
 
 @cache
 def warm_up_roads() -> None:
-    """What `warm_up` does for the other doors."""
+    """Compile the filter of meta-actions on road networks, in the worst case."""
     with announced("worst case on networks"):
         env = gym.make("roundabout-v1")
         env.reset(seed=0)

@@ -1,4 +1,4 @@
-"""Everything that the shield compiles, in parts: `shield warm` compiles them all ahead."""
+"""Parts of all compiled code; `shield warm` compiles them in advance."""
 
 from __future__ import annotations
 
@@ -61,5 +61,5 @@ PARTS: Mapping[str, Callable[[], None]] = MappingProxyType(
         "compiled networks, simulated traffic": _simulated_compiled_networks,
     }
 )
-"""What compiles each part, or reads it from the disk. How long each takes is known by the same names in
-`shield.compiling`. Those that begin with "compiled" are for many environments at once."""
+"""Function that compiles each part, or loads it from the disk. `shield.compiling` has compile times under the same
+names. The parts with "compiled" in front are for many environments at once."""

@@ -1,4 +1,4 @@
-"""What `Shield` has of the policy that it wraps: by name, so that a type checker and a user see what it has not."""
+"""Attributes that `Shield` forwards to its policy, by name, so that a type checker and a user see which are missing."""
 
 from __future__ import annotations
 
@@ -15,48 +15,48 @@ _TRAINING = (
 
 
 class WrappedPolicy:
-    """Attributes that `evaluate_policy` and users read of an SB3 model, answered by the wrapped one.
+    """Attributes of an SB3 model that `evaluate_policy` and users read, forwarded to the wrapped policy.
 
-    Anything else of the model is at `policy`: `shielded.policy.save(path)`.
+    All others are attributes of `policy`: `shielded.policy.save(path)`.
 
     Attributes
     ----------
-    policy : what is wrapped, with SB3's `predict`.
+    policy : the wrapped policy, with SB3's `predict`.
     """
 
     policy: Any
 
     @property
     def observation_space(self) -> Any:
-        """The policy's observation space; AttributeError where it has none."""
+        """The policy's observation space; AttributeError if it has none."""
         return self._of_policy("observation_space")
 
     @property
     def action_space(self) -> Any:
-        """The policy's action space; AttributeError where it has none."""
+        """The policy's action space; AttributeError if it has none."""
         return self._of_policy("action_space")
 
     @property
     def device(self) -> Any:
-        """Where the policy computes; AttributeError where it does not say."""
+        """Device of the policy; AttributeError if it has none."""
         return self._of_policy("device")
 
     @property
     def n_envs(self) -> Any:
-        """For how many environments the model was made; AttributeError where it does not say."""
+        """Number of environments of the model; AttributeError if it has none."""
         return self._of_policy("n_envs")
 
     @property
     def num_timesteps(self) -> Any:
-        """How many steps the model has learned from; AttributeError where it does not say."""
+        """Number of steps that the model has learned from; AttributeError if it has none."""
         return self._of_policy("num_timesteps")
 
     def get_env(self) -> Any:
-        """The environment that the model carries; AttributeError where it carries none."""
+        """The model's environment; AttributeError if it has no such method."""
         return self._of_policy("get_env")()
 
     def get_vec_normalize_env(self) -> Any:
-        """The `VecNormalize` that the model carries; AttributeError where it has no such method."""
+        """The model's `VecNormalize`; AttributeError if it has no such method."""
         return self._of_policy("get_vec_normalize_env")()
 
     def learn(self, *args: Any, **kwargs: Any) -> NoReturn:
@@ -65,7 +65,7 @@ class WrappedPolicy:
         Raises
         ------
         ConfigError
-            Always, with what to do instead.
+            Always, with the remedy.
         """
         raise ConfigError(_TRAINING.format(name="learn"))
 
@@ -85,11 +85,11 @@ class WrappedPolicy:
         return getattr(self.policy, name)
 
     def _has_no(self, name: str) -> NoReturn:
-        """Say where what a user looks for is."""
+        """Raise AttributeError, with the place of the attribute if the wrapped policy has it."""
         own = self.__dict__.get("policy")
         there = f"; the wrapped policy has it: .policy.{name}" if own is not None and hasattr(own, name) else ""
         raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}{there}", name=name, obj=self)
 
     if not TYPE_CHECKING:
-        # A type checker that knew of it would take every attribute for one that is there.
+        # Hidden from type checkers, which would otherwise accept every attribute.
         __getattr__ = _has_no

@@ -262,6 +262,7 @@ def store(env: gym.Env[Any, Any], scenario: Scenario, worlds: Worlds, e: int) ->
 
 
 def _store_vehicle(body: Any, f: FloatArray, g: Any, p: FloatArray, i: int) -> None:
+    """Write the controls, targets and parameters of a vehicle in column `i` back into highway-env's object."""
     body.action = {"steering": float(f[STEERING, i]), "acceleration": float(f[ACCELERATION, i])}
     body.impact = f[[IMPACT_X, IMPACT_Y], i].copy() if g[IMPACTED, i] else None
     if isinstance(body, ControlledVehicle):

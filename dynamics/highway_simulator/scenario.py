@@ -219,6 +219,7 @@ def lanes_of(count: int) -> FloatArray:
 
 
 def _rules(kind: type[HighwayEnv], config: Mapping[str, Any]) -> tuple[Rules, Inputs | None, gym.Space[Any]]:
+    """The constants for the kernels, the conversion of continuous actions (or None), and the action space."""
     traffic = utils.class_from_path(config["other_vehicles_type"])
     action, n = config["action"], config["lanes_count"]
     inputs, labels, speeds = _actions(action)
@@ -262,6 +263,7 @@ def _rules(kind: type[HighwayEnv], config: Mapping[str, Any]) -> tuple[Rules, In
 
 
 def _actions(action: Mapping[str, Any]) -> tuple[Inputs | None, Any, FloatArray]:
+    """The conversion of continuous actions (or None), the labels of meta-actions, and the target speeds [m/s]."""
     speeds = MDPVehicle.DEFAULT_TARGET_SPEEDS if action.get("target_speeds") is None else action["target_speeds"]
     speeds = np.array(speeds, dtype=np.float64)
     along, across = action.get("longitudinal", True), action.get("lateral", True)
@@ -279,6 +281,7 @@ def _actions(action: Mapping[str, Any]) -> tuple[Inputs | None, Any, FloatArray]
 
 
 def _view(config: Mapping[str, Any]) -> tuple[View, gym.spaces.Box]:
+    """The configuration of the observation for the kernels, and the observation space."""
     asked, n = config["observation"], config["lanes_count"]
     is_grid = asked["type"] == "OccupancyGrid"
     default = OccupancyGridObservation.FEATURES if is_grid else KinematicObservation.FEATURES

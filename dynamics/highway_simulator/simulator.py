@@ -171,6 +171,7 @@ class Simulator:
         store(env, self.scenario, self.worlds, e)
 
     def _build(self, scenario: Scenario, num_envs: int, threads: int = 1, tape: bool = False) -> None:
+        """Set up the arrays and buffers for a scenario."""
         if num_envs < 1 or threads < 1:
             raise ConfigError(f"num_envs and threads must be at least 1, not {num_envs} and {threads}")
         self.scenario = scenario

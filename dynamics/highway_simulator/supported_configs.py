@@ -71,6 +71,7 @@ def _number(value: Any, least: float = -math.inf, whole: bool = False) -> bool:
 
 
 def _scene(config: Mapping[str, Any]) -> list[str]:
+    """The unsupported entries outside of observation and action."""
     refused = [f"{key}={config[key]!r}" for key in sorted(config.keys() - _READ - _IGNORED)]
     if config["controlled_vehicles"] != 1:
         refused.append(f"controlled_vehicles={config['controlled_vehicles']}")
@@ -102,6 +103,7 @@ def _scene(config: Mapping[str, Any]) -> list[str]:
 
 
 def _observation(config: Mapping[str, Any]) -> list[str]:
+    """The unsupported parts of the observation."""
     observation = config["observation"]
     kind = observation.get("type") if isinstance(observation, Mapping) else None
     if kind not in ("Kinematics", "OccupancyGrid"):
@@ -121,6 +123,7 @@ def _observation(config: Mapping[str, Any]) -> list[str]:
 
 
 def _action(config: Mapping[str, Any]) -> list[str]:
+    """The unsupported parts of the action."""
     action = config["action"]
     kind = action.get("type") if isinstance(action, Mapping) else None
     if kind not in ("DiscreteMetaAction", "ContinuousAction"):

@@ -78,6 +78,7 @@ class Road(Protocol):
 
 @uncounted
 def _to_road(states: Any, x: float, y: float, cos: float, sin: float, heading: float, out: Any) -> None:
+    """World states (n, 4) to road states, `out` (n, 4), by the origin and the heading of the road."""
     for i in range(states.shape[0]):
         dx, dy = states[i, _X] - x, states[i, _Y] - y
         out[i, _S], out[i, _R] = cos * dx + sin * dy, cos * dy - sin * dx
@@ -86,6 +87,7 @@ def _to_road(states: Any, x: float, y: float, cos: float, sin: float, heading: f
 
 @uncounted
 def _to_world(states: Any, x: float, y: float, cos: float, sin: float, heading: float, out: Any) -> None:
+    """Road states (n, 4) to world states, `out` (n, 4), by the origin and the heading of the road."""
     for i in range(states.shape[0]):
         s, r = states[i, _S], states[i, _R]
         out[i, _X], out[i, _Y] = x + cos * s - sin * r, y + sin * s + cos * r

@@ -136,5 +136,6 @@ class LotReader:
 
 
 def _row(v: Any) -> tuple[float, ...]:
+    """A vehicle as a row with columns `BODY`."""
     x, y = v.position.tolist()
     return (x, y, v.heading, v.speed, v.LENGTH, v.WIDTH)

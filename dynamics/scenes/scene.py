@@ -306,11 +306,13 @@ class SceneReader:
 
 
 def _road_of(network: Any, curved: bool) -> Road:
+    """The road map of a network: straight, or a path if `curved` roads may be read."""
     kinds = {type(lane).__name__ for lane in network.lanes_list()}
     straight = kinds == {"StraightLane"} and sum(map(len, network.graph.values())) == 1
     return StraightRoad.from_network(network) if straight or not curved else read_network(network)
 
 
 def _row(v: Any) -> tuple[float, ...]:
+    """A body as a vehicle row, columns `Vehicle`."""
     x, y = v.position.tolist()
     return (x, y, v.heading, v.speed, v.LENGTH, v.WIDTH, v.crashed)

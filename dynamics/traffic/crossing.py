@@ -47,6 +47,7 @@ def with_own_traffic(env_id: str, config: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _with_own_traffic(spec: EnvSpec, config: Mapping[str, Any]) -> dict[str, Any]:
+    """`with_own_traffic` for a registered environment."""
     kind, given = _kind(spec), dict(config)
     if not (isinstance(kind, type) and issubclass(kind, IntersectionEnv)):
         return given

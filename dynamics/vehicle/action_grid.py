@@ -125,6 +125,13 @@ def _define_spaces(env: Any) -> None:
 
 
 def _check_counts(counts: Any) -> None:
+    """Check two numbers of values.
+
+    Raises
+    ------
+    ConfigError
+        If there are not two integers from 2 to `_MOST`.
+    """
     whole = all(isinstance(n, int | np.integer) and not isinstance(n, bool) and 2 <= n <= _MOST for n in counts)
     if len(counts) != 2 or not whole:
         raise ConfigError(

@@ -58,6 +58,7 @@ def table_of(road: Any) -> FloatArray:
 
 @lru_cache(maxsize=64)
 def _table(profile: CurvatureProfile) -> FloatArray:
+    """The table of a path (8, pieces), see the head of this module."""
     breaks, k = np.array(profile.breaks), np.array(profile.curvatures)
     starts, ends, before, after = breaks[:-1].copy(), breaks[1:].copy(), np.roll(k, 1), np.roll(k, -1)
     if not profile.closed:
@@ -81,6 +82,8 @@ def _piece(table: FloatArray, s: float) -> tuple[int, float]:
 
 @inlined
 def _project(x: float, y: float, k: float) -> tuple[float, float]:
+    """(s, r) [m] of a point (x, y) [m] in the frame of the start of an arc of curvature k [1/m]; see
+    `dynamics.roads.arcs`."""
     rest, bent = 1 - k * y, k * x
     s = math.atan2(bent, rest) / k if abs(k) >= STRAIGHT else x
     return s, (2 * y - k * (x * x + y * y)) / (1 + math.sqrt(rest * rest + bent * bent))

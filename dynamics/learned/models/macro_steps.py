@@ -136,6 +136,7 @@ class DistilledModel:
         return self._roll(states, actions, hold)
 
     def _roll(self, states: Any, actions: Any, hold: int) -> Float32Array:
+        """States at the end of each block, by the polynomials of the parts of `hold`; shapes as in `rollout_held`."""
         states, actions = np.asarray(states, np.float32), np.asarray(actions, np.float32)
         parts = _parts(hold, self.holds)
         (n, blocks, m), calls, k = actions.shape, len(parts), len(self._seen)

@@ -95,6 +95,7 @@ class BicycleModel:
         return self._roll(states, actions, hold)
 
     def _roll(self, states: Any, actions: Any, hold: int) -> Any:
+        """States at the end of each block by cumulative sums; shapes as in `rollout_held`."""
         states, actions = np.asarray(states, self.dtype), np.asarray(actions, self.dtype)
         (n, blocks), frames = actions.shape[:2], self.frames * hold
         if n == 0 or blocks == 0:
@@ -132,5 +133,6 @@ class BicycleModel:
 
     @staticmethod
     def _write(out: Any, psi: Any, v: Any) -> None:
+        """Fill in velocities and headings, columns 2 to 5, from headings `psi` [rad] and speeds `v` [m/s]."""
         out[..., 4], out[..., 5] = np.cos(psi), np.sin(psi)
         out[..., 2], out[..., 3] = v * out[..., 4], v * out[..., 5]

@@ -100,6 +100,7 @@ class RandomDriver:
         return self._action, None
 
     def _draw(self, observation: Any) -> Any:
+        """A random action (2,) that keeps the speed within its range while it is applied."""
         rng, (low, high), (left, right) = self._generator, self._actuators.acceleration, self._actuators.steering
         x = state(observation)
         speed, lasting = float(x[2] * x[4] + x[3] * x[5]), self._left * self._dt

@@ -69,6 +69,7 @@ def observation(states: Any) -> FloatArray:
 
 
 def _read(observation: Any, key: str) -> FloatArray:
+    """One entry of a `parking-v0` observation in SI units, (..., 6)."""
     try:
         array = np.asarray(observation[key], dtype=float)
     except (KeyError, IndexError, TypeError, ValueError):

@@ -146,6 +146,7 @@ def _fit(
     progress: bool,
     write: Callable[[int, float, float], None],
 ) -> Fit:
+    """`fit` without the checks of its arguments."""
     started = time.perf_counter()
     train, held_out = data.split(config.held_out, config.seed)
     if isinstance(model, ModelConfig):
@@ -238,6 +239,13 @@ def _loss(network: LinearStructuredModel, states: Tensor, actions: Tensor, after
 
 
 def _windows(data: Transitions, horizon: int) -> _Windows:
+    """All windows of `horizon` transitions as tensors.
+
+    Raises
+    ------
+    DataError
+        If there are none.
+    """
     states, actions, after = data.sequences(horizon)
     if not len(states):
         raise DataError(

@@ -80,6 +80,7 @@ def _row(
 
 
 def _merge(base: Any, numbers: Mapping[Lane, int]) -> Places:
+    """Vehicles of `MergeEnv`."""
     first = numbers["a", "b", 0]
     rows = [_row(numbers["a", "b", 1], 30.0, 30.0, ego=True, headed=False)]
     for place, speed in ((90.0, 29.0), (70.0, 31.0), (5.0, 31.5)):
@@ -88,6 +89,7 @@ def _merge(base: Any, numbers: Mapping[Lane, int]) -> Places:
 
 
 def _merge_generic(base: Any, numbers: Mapping[Lane, int]) -> Places:
+    """Vehicles of `MergeGenericEnv`."""
     config = base.config
     count = int(config["lanes_count"])
     lanes = [numbers["a", "b", k] for k in range(count)]
@@ -107,6 +109,7 @@ def _merge_generic(base: Any, numbers: Mapping[Lane, int]) -> Places:
 
 
 def _roundabout(base: Any, numbers: Mapping[Lane, int]) -> Places:
+    """Vehicles of `RoundaboutEnv`."""
     goals = ("exr", "sxr", "nxr", "nxs")
     asked, anywhere = base.config["incoming_vehicle_destination"], (0, 3)
     fixed = anywhere if asked is None else (range(3)[asked], 1)
@@ -124,6 +127,7 @@ def _roundabout(base: Any, numbers: Mapping[Lane, int]) -> Places:
 
 
 def _roundabout_generic(base: Any, numbers: Mapping[Lane, int]) -> Places:
+    """Vehicles of `RoundaboutGenericEnv`."""
     config, graph = base.config, base.road.network.graph
     goals = ("exr", "sxr", "nxr", "wxr", "nxs")
     asked = config.get("incoming_vehicle_destination")
@@ -146,6 +150,7 @@ def _roundabout_generic(base: Any, numbers: Mapping[Lane, int]) -> Places:
 
 
 def _exit(base: Any, numbers: Mapping[Lane, int]) -> Places:
+    """Vehicles of `ExitEnv`."""
     config = base.config
     count, first = int(config["lanes_count"]), numbers["0", "1", 0]
     lanes = np.arange(count)
@@ -165,6 +170,7 @@ def _exit(base: Any, numbers: Mapping[Lane, int]) -> Places:
 
 
 def _two_way(base: Any, numbers: Mapping[Lane, int]) -> Places:
+    """Vehicles of `TwoWayEnv`."""
     own, oncoming = numbers["a", "b", 1], numbers["b", "a", 0]
     drawn: dict[str, Any] = {"drawn": NORMAL, "changes": False}
     rows = [_row(own, 30.0, 30.0, ego=True, headed=False)]
@@ -174,6 +180,7 @@ def _two_way(base: Any, numbers: Mapping[Lane, int]) -> Places:
 
 
 def _u_turn(base: Any, numbers: Mapping[Lane, int]) -> Places:
+    """Vehicles of `UTurnEnv`."""
     there, bend, back = ("a", "b"), ("b", "c"), ("c", "d")
     traffic = [
         ((*there, 0), 25.0, 13.5),

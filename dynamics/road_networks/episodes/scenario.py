@@ -233,6 +233,7 @@ def _scene(
     ways: IntArray,
     target_speeds: FloatArray,
 ) -> Scene:
+    """The tables of a reset, with the obstacles of the environment's road."""
     traffic = next(type(v) for v in base.road.vehicles if v is not base.vehicle)
     places = places or Places([])
     rows, choices = places.tables()
@@ -272,6 +273,7 @@ def _scene(
 
 
 def _coming(base: Any, lanes: Mapping[tuple[str, str, int], int]) -> Coming:
+    """The new vehicles of an intersection; without entrances for other roads."""
     if not isinstance(base, IntersectionEnv):
         return Coming(np.zeros(0, np.int64), np.zeros(0), 0, 0.0, -1)
     config = base.config
@@ -285,6 +287,7 @@ def _coming(base: Any, lanes: Mapping[tuple[str, str, int], int]) -> Coming:
 
 
 def _worth(base: Any, lanes: Mapping[tuple[str, str, int], int]) -> Worth:
+    """The parameters of rewards and ends of episodes."""
     config, kind = base.config, kind_of_world(type(base))
     weights = np.zeros(5)
     weights[: len(NAMES[kind])] = [float(config.get(name, 0)) for name in NAMES[kind]]
@@ -318,6 +321,7 @@ def _worth(base: Any, lanes: Mapping[tuple[str, str, int], int]) -> Worth:
 
 
 def _view(base: Any, lanes: Mapping[tuple[str, str, int], int]) -> tuple[View, tuple[int, int]]:
+    """The configuration of the observation, and its shape in the kernels."""
     seen = base.observation_type
     if isinstance(seen, TimeToCollisionObservation):
         step = 1 / base.config["policy_frequency"]

@@ -86,6 +86,7 @@ def refusals(kind: type[Any], config: Mapping[str, Any]) -> list[str]:
 
 
 def _observation(config: Mapping[str, Any]) -> list[str]:
+    """The unsupported parts of the observation."""
     asked = config["observation"]
     kind = asked.get("type") if isinstance(asked, Mapping) else None
     if kind not in _VIEWS:
@@ -105,6 +106,7 @@ def _observation(config: Mapping[str, Any]) -> list[str]:
 
 
 def _action(config: Mapping[str, Any]) -> list[str]:
+    """The unsupported parts of the action."""
     action = config["action"]
     kind = action.get("type") if isinstance(action, Mapping) else None
     if kind not in ("DiscreteMetaAction", "ContinuousAction"):

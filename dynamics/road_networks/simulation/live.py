@@ -214,6 +214,13 @@ def _key(index: Any) -> tuple[str, str, int]:
 
 
 def _load_route(body: Any, i: int, rules: NetworkRules, lanes: Lanes, g: Any, routes: Any) -> None:
+    """Copy the route of a body into row `i` of `routes`.
+
+    Raises
+    ------
+    SceneError
+        If it is longer than the row.
+    """
     if body.route is None:
         g[ROUTE_END, i] = -1
         return

@@ -1,6 +1,6 @@
 """A runtime safety shield around learned driving policies on highway-env.
 
-Nothing is imported before it is used: `import shield` costs next to nothing.
+Modules are imported on first use, so `import shield` is fast.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`python -m shield`: the console command `shield`, as it was installed."""
+"""`python -m shield`: the installed console command `shield`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ _DISTRIBUTION = "highway-shield"
 
 
 def main() -> None:
-    """Run the console command, which the distribution names: this package imports nothing from above it."""
+    """Run the console command of the installed distribution: this package imports nothing from above it."""
     try:
         (command,) = distribution(_DISTRIBUTION).entry_points.select(group="console_scripts", name="shield")
     except PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""What the shield did, in the logs of a training run."""
+"""The shield's reports in the logs of a training run."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ __all__ = ["ShieldCallback"]
 
 
 class ShieldCallback(BaseCallback):
-    """Logs what `ShieldedEnv` reports while an SB3 model learns, to TensorBoard where one is set up.
+    """Logs the reports of `ShieldedEnv` while an SB3 model learns, to TensorBoard if that is configured.
 
     Means over the decisions between two dumps of the logger: `shield/overridden`, `shield/held_back`,
-    `shield/frames_overridden`, `shield/violations`, `shield/margin` [m] where it is finite, `shield/latency_ms`, and
-    the share of each reason that there was, `shield/reason/...`.
+    `shield/frames_overridden`, `shield/violations`, `shield/margin` [m] where it is finite, `shield/latency_ms`. The
+    share of each reason that occurred is `shield/reason/...`.
 
     Raises
     ------
     ConfigError
-        At the first step, if an environment reports no shield.
+        At the first step, if an environment has no shield.
 
     Examples
     --------
@@ -48,7 +48,7 @@ class ShieldCallback(BaseCallback):
             self._seen.add(report["reason"])
             for reason in self._seen:
                 self.logger.record_mean(f"shield/reason/{reason}", float(report["reason"] == reason))
-        # Not every vector environment has the shield on the outside.
+        # A wrapper outside the shield may hide the attribute.
         with suppress(AttributeError):
             for latency in self.training_env.get_attr("latency"):
                 self.logger.record_mean("shield/latency_ms", 1e3 * latency)

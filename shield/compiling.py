@@ -1,4 +1,4 @@
-"""How long the kernels of the shield take to compile on this machine, and what is said meanwhile."""
+"""Compile times of the shield's kernels on this machine, and the progress line."""
 
 from __future__ import annotations
 
@@ -34,24 +34,24 @@ __all__ = [
 ]
 
 UNITS_FILE = "compile_units.json"
-"""Compile times that `benchmarks/compile_times.py --write` has measured, in units of the reference kernel."""
+"""Compile times measured by `benchmarks/compile_times.py --write`, in units of the reference kernel."""
 _log = logging.getLogger("shield")
 _LEAST = 2.0
 """Shorter compilations are not announced [s]."""
 _EVERY = 30.0
-"""Time between two lines of progress where the output is no terminal [s]."""
+"""Time between two lines of progress where the output is not a terminal [s]."""
 
 
 @contextmanager
 def announced(part: str) -> Iterator[None]:
-    """Say once how long it takes, where kernels have to be compiled, and show the progress.
+    """Log once the estimated time if kernels have to be compiled, and show the progress.
 
-    Kernels that are read from the disk are not announced. Of several processes that compile at the same time one
-    speaks.
+    Kernels that are loaded from the disk are not announced. If several processes compile at the same time, only one
+    logs.
 
     Parameters
     ----------
-    part : a name in the file of compile times; of others it is said that their time has not been measured.
+    part : a name in the file of compile times; for other names the message says that their time has not been measured.
     """
     compiling = _Compiling(part)
     with install_listener("numba:compile", compiling):
@@ -63,43 +63,47 @@ def announced(part: str) -> Iterator[None]:
 
 @cache
 def compile_units() -> Mapping[str, Mapping[str, float]]:
-    """How long each kernel takes to compile, in compilations of the reference kernel: by part, and by kernel and the
-    types of its arguments (see `is_on_disk`)."""
+    """Compile time of each kernel, in units of the reference kernel: by part, and by kernel and the types of its
+    arguments (see `is_on_disk`)."""
     read: dict[str, dict[str, float]] = json.loads((files("shield") / UNITS_FILE).read_text(encoding="utf-8"))
     return read
 
 
 def estimated_units(part: str) -> float:
-    """How long a part takes to compile, without the kernels that are on the disk, in units of the reference kernel."""
+    """Compile time of a part, without the kernels that are on the disk, in units of the reference kernel."""
     return sum(units for kernel, units in compile_units()[part].items() if not is_on_disk(kernel))
 
 
 def is_on_disk(kernel: str) -> bool:
-    """Whether machine code of the present sources of a kernel is kept for arguments of these types.
+    """Whether machine code of a kernel's present sources is on the disk, for the given types of arguments.
 
     Parameters
     ----------
-    kernel : "module.name:types", of which the types are as `types_digest` tells them; "module.name" for any types.
+    kernel : "module.name:types", with types from `types_digest`; "module.name" for any types.
     """
     where, _, types = kernel.partition(":")
     module, _, name = where.rpartition(".")
     try:
         kept = getattr(import_module(module), name)._cache._cache_file._load_index()
     except (ImportError, AttributeError, OSError):
-        # It is kept nowhere, or has another name by now.
+        # There is no cache, or the kernel has another name now.
         return False
     return any(types in ("", types_digest(key[0])) for key in kept)
 
 
 def types_digest(types: Any) -> str:
-    """A short name of the types of a kernel's arguments."""
+    """Digest of the types of a kernel's arguments."""
     return sha256(str(tuple(types)).encode()).hexdigest()[:12]
 
 
 def reference_seconds(clock: Callable[[], float] = perf_counter) -> float:
-    """How long the reference kernel takes to compile on this machine now [s]; `clock` tells the time.
+    """Compile time of the reference kernel on this machine now [s].
 
     The first compilations of a process take longer and do not count.
+
+    Parameters
+    ----------
+    clock : returns the time [s].
     """
     taken = []
     for _ in range(4):
@@ -110,7 +114,7 @@ def reference_seconds(clock: Callable[[], float] = perf_counter) -> float:
 
 
 def _reference(rows: Any, out: Any) -> Any:
-    """Loops and arithmetic as kernels have them; what it computes is of no use."""
+    """Loops and arithmetic typical of a kernel; the result has no meaning."""
     best = 1e9
     for i in range(rows.shape[0]):
         x, y, heading, speed = rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
@@ -133,7 +137,7 @@ def _reference(rows: Any, out: Any) -> Any:
 
 
 class _Compiling(Listener):
-    """Says what is waited for when numba begins to compile the first kernel of a part."""
+    """Logs the estimated time when numba begins to compile the first kernel of a part."""
 
     def __init__(self, part: str) -> None:
         self._part, self._begun = part, False
@@ -167,7 +171,7 @@ class _Compiling(Listener):
         pass
 
     def stop(self) -> None:
-        """The part is compiled."""
+        """Called after the compilation of the part."""
         self._over.set()
         if self._progress is not None:
             self._progress.join()
@@ -175,6 +179,7 @@ class _Compiling(Listener):
             self._speaker.close()
 
     def _show(self, seconds: float) -> None:
+        """Print the progress until the compilation is over."""
         start, live = perf_counter(), sys.stderr.isatty()
         while not self._over.wait(1.0 if live else _EVERY):
             text = f"compiling kernels ({self._part}): {perf_counter() - start:.0f} of about {seconds:.0f} s"
@@ -189,10 +194,10 @@ class _Compiling(Listener):
 
 
 def _only_speaker() -> IO[str] | None:
-    """A lock that one process of a user holds while it compiles; None where another one has it."""
+    """A lock that one process of a user holds while it compiles; None if another process has it."""
     try:
         import fcntl
-    except ImportError:  # on Windows each process speaks
+    except ImportError:  # on Windows each process logs
         return tempfile.TemporaryFile("w")
     name = f"highway-shield-compiling-{os.getuid()}.lock"
     lock = Path(tempfile.gettempdir(), name).open("a", encoding="utf-8")  # noqa: SIM115

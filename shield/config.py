@@ -1,4 +1,4 @@
-"""The shield's settings: frozen, validated where they are given, and round-trip through TOML."""
+"""The shield's settings: frozen, validated at construction, and convertible to TOML and back."""
 
 from __future__ import annotations
 
@@ -20,21 +20,23 @@ __all__ = ["MODES", "PERCEPTIONS", "PROFILES", "RULES_ALONE", "SIMULATED", "WORS
 RULES_ALONE = ("distance", "rss", "ttc", "ttc-ranking")
 """Modes in which one rule decides alone."""
 MODES = ("none", *RULES_ALONE, "full")
-"""Valid `ShieldConfig.mode`: no shield, one rule alone, or the whole procedure."""
+"""Valid `ShieldConfig.mode`: no shield, one rule alone, or the whole decision pipeline."""
 PROFILES = ("default", "meta-actions", "roads", "simulated")
 """Names of `ShieldConfig.profile`."""
 SIMULATED, WORST_CASE = "simulated", "worst-case"
-"""Names of settings that fit themselves to the environment (`shield.wrappers.defaults`)."""
+"""Names of settings that depend on the environment (`shield.wrappers.defaults`)."""
 REPAIRS = ("hold", "filter")
-"""Valid `ShieldConfig.repair`: hold the meta-action back, or take the nearest inputs."""
+"""Valid `ShieldConfig.repair`: an acceleration cap, or the nearest inputs."""
 
 PERCEPTIONS = ("simulator", "observation")
-"""What scenes can be read from: the simulator's true state, or nothing of the traffic but what a policy observes."""
+"""Sources of the scenes: the simulator's true state, or the policy's observations as the only source for the
+traffic."""
 NORMS = ("range", "acceleration")
 """Valid `ShieldConfig.norm`."""
 
 
 def _positive(owner: str, name: str, value: Any, *, zero: bool = False) -> None:
+    """Raise `ConfigError` unless a setting is a finite number above 0, or of at least 0 with `zero`."""
     good = isinstance(value, (int, float)) and not isinstance(value, bool) and isfinite(value)
     if not good or value < 0 or (value == 0 and not zero):
         raise ConfigError(f"{owner}.{name} must be a finite number {'at least' if zero else 'above'} 0, got {value!r}")
@@ -58,29 +60,30 @@ class ShieldConfig:
 
     Attributes
     ----------
-    mode : one of `MODES`. "distance", "rss" and "ttc" replace an action that the rule refuses by SLOWER; "ttc-ranking"
-        by the first action in the policy's order of preference that the rule accepts, and by SLOWER where there is
-        none, or the policy has no such order.
+    mode : one of `MODES`. "distance", "rss" and "ttc" replace an action that the rule refuses by SLOWER. "ttc-ranking"
+        replaces it by the first accepted action in the policy's order of preference. Without an accepted action, or
+        without an order, it is SLOWER.
     buffer : the distance that no verified action may violate.
-    assumptions : what the others are assumed to keep to.
-    braking : deceleration of the ego's fail-safe manoeuvre [m/s^2]: 1 g, the limit of a dry road; highway-env's own
-        speed controller reaches up to 12.5 m/s^2 on SLOWER, and 8.3 from 25 to 20 m/s.
-    perception_range : vehicles further away than this do not count [m].
+    assumptions : the rules of the road that the other vehicles are assumed to keep to.
+    braking : deceleration of the ego's fail-safe [m/s^2]: 1 g, the limit of a dry road. For comparison, highway-env's
+        own speed controller reaches up to 12.5 m/s^2 on SLOWER, and 8.3 from 25 to 20 m/s.
+    perception_range : vehicles beyond this distance do not count [m].
     distance : threshold D of the fixed-distance rule [m].
     time_to_collision : threshold of the TTC rule [s].
     response_time : the ego's response time in the RSS rule used alone [s].
-    horizon : how far `Shield` with meta-actions alone (`frames=False`) looks ahead [s]: where the ego cannot stop, or
-        the traffic of a straight highway is simulated.
-    network_horizon : the same where that of a network of roads is.
-    repair : what `ShieldedEnv` does between two decisions with a meta-action that has become unsafe: "hold" gives it
-        the greatest acceleration that verifies, "filter" the nearest inputs (the predictive filter).
-    norm : what a throttle and a wheel angle on a road are nearest in to those proposed: shares of the actuators'
-        "range"s, or the "acceleration"s along and across that they mean, a and v^2 delta / L; those swerve less.
-    record : keep the others' occupancy in each `Decision` (for drawing), or what is foretold where the traffic is
-        simulated; there is none in a parking lot.
+    horizon : horizon of `Shield` with meta-actions alone (`frames=False`) [s], for an ego that cannot stop, and for
+        simulated traffic on a straight highway.
+    network_horizon : the same for simulated traffic on a road network.
+    repair : replacement, between two decisions, of a meta-action that does not verify any more. "hold" gives the
+        greatest acceleration that verifies, "filter" the nearest inputs (the predictive filter).
+    norm : distance between the proposed throttle and wheel angle on a road and the nearest ones: in shares of the
+        actuators' "range"s, or in the resulting "acceleration"s along and across, a and v^2 delta / L. The latter
+        swerves less.
+    record : keep the others' occupancy in each `Decision` (for drawing), or the prediction in simulated traffic. Has no
+        effect in a parking lot.
     clearance : the distance that no verified action may violate in a parking lot, on all sides [m].
-    patience : for how many decisions in a row the fallback acts where the scene, or the policy's action, cannot be
-        read; then that is raised. 0 for any number.
+    patience : consecutive decisions in which the fallback acts if the scene, or the policy's action, cannot be read.
+        One more raises the error. 0 for any number.
     """
 
     mode: str = "full"
@@ -135,29 +138,29 @@ class ShieldConfig:
 
     @classmethod
     def for_meta_actions(cls) -> ShieldConfig:
-        """The defaults of `Shield`, whose meta-actions cannot stop the ego: moderate assumptions."""
+        """Defaults of `Shield` with meta-actions alone, which cannot stop the ego: moderate assumptions."""
         return cls(assumptions=Assumptions.moderate())
 
     @classmethod
     def for_roads(cls, acceleration: float = 3.0, looks_ahead: bool = False, gives_way: bool = False) -> ShieldConfig:
-        """The defaults on road networks with lanes that cross, join and part: what `Assumptions.roads()` says.
+        """Defaults on road networks, with the assumptions of `Assumptions.roads()`.
 
         Parameters
         ----------
-        acceleration : the hardest of the traffic [m/s^2]: 3 of highway-env's, but at its intersections 6.
-        looks_ahead : whether those behind look beyond the end of their own lane, as they do on highway-env's roads with
+        acceleration : greatest acceleration of the traffic [m/s^2]: 3 for highway-env's, except 6 at its intersections.
+        looks_ahead : whether followers look beyond the end of their own lane, as on highway-env's roads with
             `neighbour_vehicles_connected_lanes`.
-        gives_way : whether whoever has less right of way than the ego waits for it.
+        gives_way : whether a vehicle with less right of way than the ego waits for it.
         """
         traffic = replace(Assumptions.roads(), acceleration=acceleration, looks_ahead=looks_ahead, gives_way=gives_way)
         return cls(assumptions=traffic)
 
     @classmethod
     def simulated_traffic(cls) -> ShieldConfig:
-        """Verification in simulated traffic: 30 s ahead on a straight highway, 12 s on a network of roads.
+        """Verification in simulated traffic: 30 s ahead on a straight highway, 12 s on a road network.
 
-        Within a shorter horizon an ego that cannot stop is boxed in before it is seen. What is simulated needs little
-        of a buffer.
+        Within a shorter horizon an ego that cannot stop may be boxed in before that is predicted. Exact prediction
+        needs only a small buffer.
         """
         return cls(assumptions=Assumptions.simulated_traffic(), buffer=Buffer(0.5, 0.3), horizon=30.0)
 
@@ -189,14 +192,14 @@ class ShieldConfig:
 
     @classmethod
     def from_toml(cls, text: str) -> ShieldConfig:
-        """Read what `to_toml` wrote; tables and keys may be left out.
+        """Read the output of `to_toml`; tables and keys may be left out.
 
         `assumptions` may be a table or the name of a profile ("idm", "roads", "moderate", "rss", "simulated").
 
         Raises
         ------
         ConfigError
-            On broken TOML, unknown keys, or values out of range; the message lists what is valid.
+            For invalid TOML, unknown keys, or values out of range; the message lists the valid ones.
 
         Examples
         --------
@@ -233,7 +236,7 @@ class ShieldConfig:
 
     @classmethod
     def of(cls, config: ShieldConfig | str | Path | None, default: ShieldConfig | None = None) -> ShieldConfig:
-        """Settings as users hand them in: themselves, the path of a TOML file, or None for the default.
+        """Settings from a user's argument: settings, the path of a TOML file, or None for the default.
 
         Raises
         ------
@@ -250,7 +253,8 @@ class ShieldConfig:
 
     @classmethod
     def named(cls, name: str | Path) -> ShieldConfig | str:
-        """Settings as a command line takes them: "simulated" or "worst-case" as they are, else the TOML file `name`."""
+        """Settings from a command line: the text "simulated" or "worst-case" itself, else those of the TOML file
+        `name`."""
         return str(name) if str(name) in (SIMULATED, WORST_CASE) else cls.load(name)
 
     def save(self, path: str | Path) -> None:
@@ -259,6 +263,7 @@ class ShieldConfig:
 
 
 def _build(kind: Any, table: str, values: Any) -> Any:
+    """Instance of a settings class from a TOML table; raises `ConfigError` for unknown keys."""
     if not isinstance(values, dict):
         raise ConfigError(f"{table} must be a table, got {values!r}")
     valid = [f.name for f in fields(kind)]

@@ -1,4 +1,4 @@
-"""The record of one decision: what was proposed, what was executed, and why."""
+"""The record of one decision: the proposed and the executed action, and the reason for a difference."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 __all__ = ["ROUNDING", "Decision", "Guarantee", "Intervention", "Reason", "Source", "Tier", "Verification", "weakest"]
 
 ROUNDING = 1e-6
-"""By so much a plan that was verified may seem to miss later by the order of additions alone [m]."""
+"""Amount by which the margin of a verified plan may decrease later through rounding alone [m]."""
 
 
 class Reason(StrEnum):
-    """Why the proposal was not executed as it was; `NONE` when it was."""
+    """Why the proposal was not executed as it was; `NONE` if it was."""
 
     NONE = "none"
     BUFFER = "buffer"
@@ -42,7 +42,7 @@ class Reason(StrEnum):
 
     @property
     def text(self) -> str:
-        """One sentence for people."""
+        """One sentence for users."""
         return _TEXT[self]
 
 
@@ -64,11 +64,11 @@ _TEXT = {
 
 
 class Tier(StrEnum):
-    """Which stage of the shield produced what was executed.
+    """The stage that produced the executed action.
 
-    `PASSED`, `ALTERNATIVE` and `GOVERNED` are verified; `STORED_PLAN` was verified at an earlier frame;
-    `EVADED` clears everybody who has broken no rule, and those who have for as long as can be expected;
-    `LARGEST_MARGIN` and `EMERGENCY` are fallbacks without a certificate, and labelled so.
+    `PASSED`, `ALTERNATIVE` and `GOVERNED` are verified. `STORED_PLAN` was verified at an earlier frame. `EVADED` is
+    clear of every compliant vehicle, and of the violators for as long as can be expected. `LARGEST_MARGIN` and
+    `EMERGENCY` are fallbacks without a certificate.
     """
 
     OFF = "off"
@@ -82,17 +82,17 @@ class Tier(StrEnum):
 
     @property
     def verified(self) -> bool:
-        """Whether what was executed carries a certificate made for the scene of this decision."""
+        """Whether the executed action has a certificate for the scene of this decision."""
         return self in (Tier.PASSED, Tier.GOVERNED, Tier.ALTERNATIVE)
 
     @property
     def certified(self) -> bool:
-        """Whether what was executed was verified, at this frame or an earlier one, or evades who has broken a rule."""
+        """Whether the executed action was verified, at this frame or an earlier one, or evades a violator."""
         return self not in (Tier.OFF, Tier.LARGEST_MARGIN, Tier.EMERGENCY)
 
     @property
     def fallback(self) -> bool:
-        """Whether what was executed was not verified for the present scene."""
+        """Whether the executed action was not verified for the present scene."""
         return self in (Tier.STORED_PLAN, Tier.EVADED, Tier.LARGEST_MARGIN, Tier.EMERGENCY)
 
 
@@ -100,7 +100,7 @@ class Intervention(StrEnum):
     """What the shield did to a proposal.
 
     `NONE`: the proposal was executed unchanged. `HELD_BACK`: the environment got the proposed action, and at least one
-    simulation frame got other inputs than that action leads to. `OTHER_ACTION`: the environment got another action.
+    simulation frame got other inputs than the action's own. `OTHER_ACTION`: the environment got another action.
     """
 
     NONE = "none"
@@ -112,8 +112,8 @@ class Verification(StrEnum):
     """What actions are verified against.
 
     `WORST_CASE`: every behaviour of the others within the assumptions. `SIMULATED`: highway-env's own traffic,
-    simulated. `STANDING`: obstacles that stand still (parking lots). `RULE`: nothing, a rule decides alone. `OFF`:
-    there is no shield.
+    simulated. `STANDING`: obstacles that stand still (parking lots). `RULE`: nothing, a rule decides alone. `OFF`: no
+    shield.
     """
 
     WORST_CASE = "worst_case"
@@ -124,6 +124,8 @@ class Verification(StrEnum):
 
 
 class _FormerMembers(EnumType):
+    """Metaclass for former names of members, which warn."""
+
     def __getattr__(cls, name: str) -> Any:
         if name == "FULL":
             warn_of_former_name("Guarantee.FULL", "Guarantee.ALL_SEEN")
@@ -132,13 +134,12 @@ class _FormerMembers(EnumType):
 
 
 class Guarantee(StrEnum, metaclass=_FormerMembers):
-    """What a certificate rests on beside the assumptions about the others' behaviour.
+    """What a certificate rests on, besides the assumptions about the others' behaviour.
 
-    `ALL_SEEN`: every vehicle was seen; nothing else is assumed about the scene. `ASSUMED`: vehicles that may be there
-    unseen are assumed (`shield.Unseen`). `PROBABILISTIC`: every vehicle is also assumed within the bounds of its
-    measurement. `BROKEN`: of an episode, in which other vehicles broke the assumptions. `NONE`: there is no
-    certificate. None of them means that a crash is impossible. The former name of `ALL_SEEN` is `FULL`, with the value
-    "full".
+    `ALL_SEEN`: every vehicle was seen; no other assumption about the scene. `ASSUMED`: assumptions about unseen
+    vehicles (`shield.Unseen`). `PROBABILISTIC`: also the assumption that every vehicle is within the bounds of its
+    measurement. `BROKEN`: for an episode in which other vehicles violated the assumptions. `NONE`: no certificate. None
+    of them means that a crash is impossible. The former name of `ALL_SEEN` is `FULL`, with the value "full".
     """
 
     ALL_SEEN = "all vehicles seen"
@@ -164,20 +165,20 @@ class Guarantee(StrEnum, metaclass=_FormerMembers):
 
 
 class Source(Protocol):
-    """What a decision was made from, kept for whoever asks why."""
+    """Data of a decision, kept for its explanation."""
 
     def explain(self, at: Decision, record: Decision, frame: int) -> Explanation:
         """Why a proposal was refused.
 
         Parameters
         ----------
-        at : the decision that was made from this. record : the step's. frame : the frame that `at` is about, 0 for the
-            decision about the action.
+        at : the decision made from this data. record : the record of the step.
+        frame : the frame that `at` is about, 0 for the decision about the action.
         """
 
 
 _WEAKER = list(Guarantee)
-"""From the strongest to none."""
+"""Guarantees from the strongest to none."""
 
 
 def weakest(*guarantees: Guarantee) -> Guarantee:
@@ -195,37 +196,37 @@ def weakest(*guarantees: Guarantee) -> Guarantee:
 class Decision:
     """One decision of the shield, about an action or about one simulation frame; or the record of a whole step.
 
-    `last_decision` and `last_decisions` of both doors are records of steps (`with_frames`): what `info["shield"]` and
-    `report()` say is read from them. `frame_decisions` has the parts.
+    `last_decision` and `last_decisions` of both wrappers are records of steps (`with_frames`), from which
+    `info["shield"]` and `report()` are read. `frame_decisions` has the parts.
 
     Attributes
     ----------
-    proposed : the policy's action as it came in.
-    executed : the action that goes to the environment.
+    proposed : the policy's action, unchanged.
+    executed : the action that the environment gets.
     reason : why the two differ, or `Reason.NONE`.
     tier : the stage that produced `executed`.
-    margin : clearance beyond the buffer of what is executed, over its verified horizon [m]; NaN where none is known,
-        and where whatever was found ends in a crash.
-    latency : time spent deciding [s].
-    plan : road states of the executed action and its fail-safe, shape (frames + 1, 4), or None. On a network of roads
-        they are states in the world, of the present frame on, and filled only with `ShieldConfig.record`.
-    occupancy : rectangles where the others can be, shape (frames, vehicles, 4) as s_min, s_max, r_min, r_max
-        in the road frame [m], or None; filled only with `ShieldConfig.record`. Where the traffic is simulated, plan and
-        occupancy are what is foretold, in the world's frame (x, y, heading, speed; boxes around the others).
-    clause : which clause of the certificate the margin comes from: "separation", "slip-in", "room", "edge", "gap of the
-        map", "rollback"; "" where none binds, or none was asked.
-    vehicle : row of the vehicle that binds among the scene's others, -1 without one.
-    sight : what a certificate made for this scene rests on. level : probability with which each side of each body is
-        within its bounds there, 1 where the states are exact.
-    alarm : whether the sensor did not behave as it is thought to, so that the widest bounds were taken and nothing is
-        guaranteed (`shield.perception.sensor_monitor`).
-    frames_overridden : in the record of a step, how many of its frames got other inputs.
+    margin : clearance beyond the buffer of the executed plan, over its verified horizon [m]. NaN if it is unknown, or
+        if every plan found ends in a crash.
+    latency : time of the decision [s].
+    plan : road states of the executed action and its fail-safe, (frames + 1, 4), or None. On a road network they are
+        world states, from the present frame on, and filled only with `ShieldConfig.record`.
+    occupancy : rectangles that the others can reach, (frames, vehicles, 4) as s_min, s_max, r_min, r_max in the road
+        frame [m], or None; filled only with `ShieldConfig.record`. In simulated traffic, plan and occupancy are the
+        prediction in the world frame (x, y, heading, speed; bounding boxes of the others).
+    clause : the binding clause of the margin: "separation", "slip-in", "room", "edge", "gap of the map", "rollback"; ""
+        without one.
+    vehicle : row of the binding vehicle among the scene's others, -1 without one.
+    sight : what a certificate for this scene rests on.
+    level : probability with which each side of each body is within its bounds, 1 if the states are exact.
+    alarm : whether the sensor did not behave as assumed (`shield.perception.sensor_monitor`). Then the bounds are the
+        widest, and there is no guarantee.
+    frames_overridden : in the record of a step, the number of its frames that got other inputs.
     weakest : in the record of a step, the weakest guarantee of the decision and its frames; None elsewhere.
-    done : in the record of a step, what was done to the proposal; None elsewhere.
-    frames : in the record of a step, how many frames it has lasted for so far. held : the first that was overridden.
-    source : what it was made from, for `explain`; None where nothing was kept.
-    refusal : the decision that `explain` is about, and its frame: in the record of a step that which its reason and
-        tier are from.
+    done : in the record of a step, the intervention; None elsewhere.
+    frames : in the record of a step, the number of its frames so far. held : the first that was overridden.
+    source : data for `explain`; None without any.
+    refusal : the decision that `explain` is about, and its frame. In the record of a step, the one that its reason and
+        tier come from.
     """
 
     proposed: Any
@@ -251,8 +252,8 @@ class Decision:
 
     @property
     def guarantee(self) -> Guarantee:
-        """Which guarantee what is executed has: none, where nothing was verified, at this frame or an earlier one, and
-        where the stored plan is played on that does not verify any more."""
+        """Guarantee of the executed plan. It is none if no plan was verified, at this frame or an earlier one, or if
+        the stored plan that is continued does not verify any more."""
         if self.weakest is not None:
             return self.weakest
         lost = self.tier is Tier.STORED_PLAN and self.reason is Reason.NO_SAFE_PLAN and self.margin < -ROUNDING
@@ -260,7 +261,7 @@ class Decision:
 
     @property
     def overridden(self) -> bool:
-        """Whether something else than the proposal was executed."""
+        """Whether something other than the proposal was executed."""
         return self.tier not in (Tier.OFF, Tier.PASSED) if self.done is None else self.done is not Intervention.NONE
 
     @property
@@ -269,12 +270,12 @@ class Decision:
         return self.done if self.done is not None else self.with_frames(()).intervention
 
     def with_frames(self, frames: Sequence[Decision]) -> Decision:
-        """The record of a step: this decision, and those about the frames that it has lasted for so far.
+        """The record of a step: this decision, and those about its frames so far.
 
-        It is overridden where another action was executed or a frame was. Its reason and tier are those of the first
-        fallback, else those of the first override. Its margin is the least finite one, NaN without one, with the clause
-        and the vehicle of that; its guarantee is the weakest. A decision to hold the proposed action back whose frames
-        all passed is no override, and neither is a fallback that is what was proposed: that was executed unchanged.
+        The step is overridden if another action was executed, or a frame was overridden. Its reason and tier are those
+        of the first fallback, or else of the first override. Its margin is the least finite one, with its clause and
+        vehicle; NaN without one. Its guarantee is the weakest. Two cases are not overrides, since the proposal was
+        executed unchanged: an acceleration cap whose frames all passed, and a fallback that equals the proposal.
         """
         held, parts = [frame for frame in frames if frame.overridden], (self, *frames)
         same, holds = _same(self.proposed, self.executed), self.tier is Tier.GOVERNED
@@ -307,15 +308,15 @@ class Decision:
         )
 
     def explain(self) -> Explanation:
-        """Why the proposal was refused: which clause or rule, whose fault, when and by how much; what was done instead,
-        and why that is right. `str()` of it is a sentence.
+        """Explanation of a refusal: the clause or rule, the vehicle, the time and the shortfall; what was executed
+        instead, and its justification. `str()` of it is a sentence.
 
-        It is found out when it is asked for, from the scene and the memory that the decision was made from.
+        It is computed on request, from the scene and the memory of the decision.
 
         Raises
         ------
         ConfigError
-            If nothing was kept of these: in a copy that was pickled, or of a decision that no shield has made.
+            If these were not kept: in a pickled copy, or in a decision that was not made by a shield.
         """
         from shield.explanation import as_proposed
 
@@ -332,7 +333,7 @@ class Decision:
 
 
 def _same(a: Any, b: Any) -> bool:
-    """Whether two actions are the same; NaN and what is no action are the same as nothing."""
+    """Whether two actions are equal; NaN and an invalid action equal none."""
     try:
         return bool(np.array_equal(np.ravel(np.asarray(a, float)), np.ravel(np.asarray(b, float))))
     except (TypeError, ValueError, OverflowError):

@@ -1,4 +1,4 @@
-"""What is handed in as an environment: the highway-env environments inside, or an error that says what is valid."""
+"""The highway-env environments inside a user's environment, and errors that list the valid ones."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def base_environments(env: Any, door: str) -> list[Any]:
     Raises
     ------
     ConfigError
-        If it is none, keeps its environments in other processes, is shielded already, has fewer frames than decisions,
-        or a wrapper of it changes the actions.
+        If it is not such an environment, keeps its environments in other processes, is shielded already, or has fewer
+        frames than decisions. If one of its wrappers changes the actions.
     """
     if not hasattr(env, "unwrapped") and not hasattr(env, "num_envs"):
         raise ConfigError(
@@ -69,7 +69,7 @@ def base_environments(env: Any, door: str) -> list[Any]:
 
 
 def is_known(env: Any) -> bool:
-    """Whether what is needed to read observations alone is known of the environments in other processes."""
+    """Whether the prior map of the environments in other processes is available, for observations alone."""
     try:
         Known.of(env)
     except ShieldError:
@@ -78,18 +78,18 @@ def is_known(env: Any) -> bool:
 
 
 def check_configuration(base: Any, config: ShieldConfig) -> None:
-    """Raise where an environment is configured as no verification holds for: at construction, and after each reset.
+    """Check that verification holds for an environment's configuration: at construction, and after each reset.
 
     Parameters
     ----------
     base : highway-env's environment, unwrapped, or a compiled one.
-    config : settings of the shield; with mode "none" nothing is verified, and neither speeds nor frames are checked.
+    config : settings of the shield. With mode "none" nothing is verified, and neither speeds nor frames are checked.
 
     Raises
     ------
     ConfigError
-        If decisions do not reach the ego, its meta-actions can make it drive backwards or faster than it can brake from
-        within the perception range, or there are fewer frames a second than verification has been tested with.
+        If actions do not reach the ego. If meta-actions can make it drive backwards, or faster than it can brake from
+        within the perception range. If there are fewer frames a second than verification has been tested with.
     """
     refuse_manual_control(base.config)
     if config.mode == "none":
@@ -105,17 +105,17 @@ def check_configuration(base: Any, config: ShieldConfig) -> None:
 
 
 def check_step(base: Any, before: int, executed: Any, info: Mapping[str, Any]) -> None:
-    """Raise where a step was not the one decision that was verified.
+    """Check that a step executed exactly the verified decision.
 
     Parameters
     ----------
     base : highway-env's environment, unwrapped, after the step. before : its `steps` before.
-    executed : the action that was handed to the environment. info : what the step returned.
+    executed : the action that was passed to the environment. info : from the step.
 
     Raises
     ------
     ConfigError
-        If the ego got another action or none, or if there were more frames than a decision has, or none.
+        If the ego got another action or none, or if there were more frames than in a decision, or none.
     """
     refuse_manual_control(base.config)
     given = info.get("action", executed)
@@ -134,16 +134,16 @@ def check_step(base: Any, before: int, executed: Any, info: Mapping[str, Any]) -
 
 
 def check_gone_on(base: Any, before: int) -> None:
-    """Raise where more than one decision was carried out since a policy was asked last: the others were not verified.
+    """Check that at most one decision was executed since the last call of the policy: others would be unverified.
 
     Parameters
     ----------
-    base : highway-env's environment, unwrapped, in the same episode. before : its `steps` then.
+    base : highway-env's environment, unwrapped, in the same episode. before : its `steps` at that call.
 
     Raises
     ------
     ConfigError
-        If there were more frames than a decision has, or the actions do not reach the ego.
+        If there were more frames than in a decision, or the actions do not reach the ego.
     """
     refuse_manual_control(base.config)
     frames, went = frames_of(base), int(base.steps) - before
@@ -157,7 +157,7 @@ def check_gone_on(base: Any, before: int) -> None:
 
 
 def _refuse_late_actions(before: int, frames: int) -> None:
-    """Raise where highway-env carries an action out later than it was taken: at frames that `frames` divides only."""
+    """Raise if highway-env executes an action later than it was chosen, which is at multiples of `frames` only."""
     if before % frames:
         raise ConfigError(
             f"the frequencies were changed within an episode: the decision began at frame {before}, and highway-env "
@@ -171,7 +171,7 @@ def frames_of(base: Any) -> int:
 
 
 def _same(given: Any, executed: Any) -> bool:
-    """Whether two actions are equal; True where they cannot be compared as numbers."""
+    """Whether two actions are equal; True if they cannot be compared as numbers."""
     try:
         return np.array_equal(np.asarray(given, float), np.asarray(executed, float), equal_nan=True)
     except (TypeError, ValueError):
@@ -179,7 +179,7 @@ def _same(given: Any, executed: Any) -> bool:
 
 
 def _refuse_changed_actions(env: Any, door: str) -> None:
-    """Raise where something inside changes the actions: what is executed would not be what was verified.
+    """Check that no wrapper changes the actions, which would invalidate the verification.
 
     Raises
     ------
@@ -196,7 +196,7 @@ def _refuse_changed_actions(env: Any, door: str) -> None:
 
 
 def _refuse_shielded(env: Any, door: str) -> None:
-    """Raise where there is a shield inside already.
+    """Check that there is no shield inside.
 
     Raises
     ------
@@ -208,7 +208,7 @@ def _refuse_shielded(env: Any, door: str) -> None:
 
 
 def refuse_lots(bases: list[Any]) -> None:
-    """Raise where meta-actions are to be filtered in a parking lot: they steer to lanes, and there are none.
+    """Check that meta-actions are not filtered in a parking lot, which has no lanes to steer to.
 
     Raises
     ------
@@ -225,6 +225,7 @@ def refuse_lots(bases: list[Any]) -> None:
 
 
 def _layers(env: Any) -> Iterator[Any]:
+    """The wrappers of an environment, outermost first, and the environment itself."""
     while env is not None:
         yield env
         env = env.__dict__.get("env")

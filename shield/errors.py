@@ -1,4 +1,4 @@
-"""Errors raised by the shield (defined at the lowest layer, so that every layer can raise them)."""
+"""Errors of the shield. They are defined in the lowest package, so that every package can raise them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Why a proposal was refused: in words, and as data."""
+"""Why a proposal was refused: as text, and as data."""
 
 from __future__ import annotations
 
@@ -15,9 +15,8 @@ __all__ = ["Explanation", "Lost", "Obstruction", "as_proposed", "number"]
 class Lost(StrEnum):
     """What a fallback has lost.
 
-    `NOTHING`: what is executed verifies, now or at the frame before, for this scene. `PRECAUTION`: it verifies but for
-    the vehicles that may cut in, whom a plan keeps clear of as a precaution. `GUARANTEE`: nothing that verifies is
-    executed.
+    `NOTHING`: the executed plan verifies for this scene, now or at the frame before. `PRECAUTION`: it verifies without
+    the vehicles that may cut in, which plans avoid as a precaution. `GUARANTEE`: the executed plan does not verify.
     """
 
     NOTHING = "nothing"
@@ -27,16 +26,16 @@ class Lost(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Obstruction:
-    """The vehicle, or obstacle, that a proposal was refused for, as it was then.
+    """The binding vehicle or obstacle of a refusal, at that time.
 
     Attributes
     ----------
-    vehicle : the simulator's object; the number of a track where scenes are made of observations; the row where the
-        simulator has no objects.
-    kind : name of its class, "track" or "vehicle". where : "ahead", "behind", "to the left" or "to the
-        right", seen from the ego.
-    distance : between the bodies along the ego's way, across it where they are beside each other [m].
-    lane : of the vehicle, "" where there are none. speed : of the vehicle [m/s].
+    vehicle : the simulator's object. The number of the track if scenes come from observations; the row if the simulator
+        has no objects.
+    kind : name of its class, "track" or "vehicle". where : "ahead", "behind", "to the left" or "to the right", from the
+        ego.
+    distance : gap between the bodies along the ego's heading; across it if they are beside each other [m].
+    lane : of the vehicle, "" without lanes. speed : of the vehicle [m/s].
     """
 
     vehicle: Any
@@ -48,27 +47,27 @@ class Obstruction:
 
     @property
     def text(self) -> str:
-        """Such as "IDMVehicle 14.2 m ahead in lane 1 at 21.3 m/s"."""
+        """Text such as "IDMVehicle 14.2 m ahead in lane 1 at 21.3 m/s"."""
         lane = f" in {self.lane}" if self.lane else ""
         return f"{self.kind} {self.distance:.1f} m {self.where}{lane} at {number(self.speed)} m/s"
 
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """Why a proposal was refused, and what was done instead.
+    """Why a proposal was refused, and what was executed instead.
 
     Attributes
     ----------
-    refused : the proposal, such as "FASTER" or "+5.0 m/s², +0.0°"; "" where it was executed as it was.
-    reason : of the record. clause : what refused it: a clause of the certificate ("separation", "slip-in", "room",
-        "edge", "gap of the map", "rollback"), a rule ("rule: rss"), "simulated", "crash", "road", or "" where nothing
-        was judged.
-    cause : the vehicle; None where none is the cause.
-    short : by how much the buffer, or the room, would be short at worst [m]; NaN where it is no length.
-    after : when it would be, from the frame on at which the proposal was refused [s]; NaN where it is not known.
-    frame : the frame of the step at which it was refused, 0 for the decision itself.
-    why : what would happen, in words. done : what was done instead. proof : why that is right.
-    margin : clearance beyond the buffer of what was done [m]; NaN where none is known.
+    refused : the proposal, such as "FASTER" or "+5.0 m/s², +0.0°"; "" if it was executed unchanged.
+    reason : of the record.
+    clause : a clause of the certificate ("separation", "slip-in", "room", "edge", "gap of the map", "rollback"), a rule
+        ("rule: rss"), "simulated", "crash", or "road". "" if nothing was judged.
+    cause : the vehicle; None without one.
+    short : greatest shortfall of the buffer, or of the room [m]; NaN if it is not a length.
+    after : time of the shortfall, from the frame of the refusal on [s]; NaN if it is unknown.
+    frame : the frame of the step at which the proposal was refused, 0 for the decision itself.
+    why : text of the predicted effect. done : text of the executed command. proof : text of its justification.
+    margin : clearance beyond the buffer of the executed plan [m]; NaN if it is unknown.
     lost : what a fallback has lost.
     """
 
@@ -87,7 +86,7 @@ class Explanation:
 
     @property
     def text(self) -> str:
-        """One sentence for people."""
+        """One sentence for users."""
         if not self.refused:
             return f"{self.done}: {self.proof}"
         at = f" in frame {self.frame + 1}" if self.frame else ""
@@ -98,12 +97,12 @@ class Explanation:
 
 
 def number(value: float, digits: int = 1) -> str:
-    """A number with a proper minus, "–" where there is none."""
+    """Text of a number with a proper minus; "–" if it is not finite."""
     return f"{value:.{digits}f}".replace("-", "−") if isfinite(value) else "–"
 
 
 def as_proposed(record: Decision) -> Explanation:
-    """A step in which the proposal was executed as it was."""
+    """Explanation of a step in which the proposal was executed unchanged."""
     margin, by = record.margin, f" ({record.clause})" if record.clause else ""
     if record.tier is Tier.OFF:
         why = "no shield is at work"

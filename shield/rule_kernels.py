@@ -1,4 +1,4 @@
-"""The distance rules as compiled loops over vehicles; `shield.rules` says what they are."""
+"""The distance rules as compiled loops over vehicles; `shield.rules` documents them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["alongside", "breaks_rss", "lateral_gap", "longitudinal_gap", "time_i
 
 _SPEED, _LENGTH, _WIDTH = int(Vehicle.SPEED), int(Vehicle.LENGTH), int(Vehicle.WIDTH)
 _IN_THE_WAY = 1.0
-"""Nearer than this to a lane's centre one is alongside of whoever goes there [m]."""
+"""A vehicle nearer than this to a lane's centre blocks a change to that lane [m]."""
 _LATERAL = (1.0, 2.0, 0.3)
 """RSS's lateral acceleration and braking [m/s^2], and the margin [m]."""
 
@@ -85,12 +85,12 @@ def alongside(
     lane: int,
     longitudinal: float,
 ) -> bool:
-    """Whether going to a lane enters one that somebody alongside is in.
+    """Whether a target lane contains a vehicle alongside the ego.
 
     Parameters
     ----------
     ego, state : vehicle row (7,) and road state (4,). rows, states : of the others, (m, 7) and (m, 4).
-    centers : of the lanes [m]. longitudinal : buffer along the road [m].
+    centers : lane centres [m]. lane : the target lane. longitudinal : buffer along the road [m].
     """
     if lane == nearest(centers, state[1]):
         return False
@@ -115,13 +115,14 @@ def breaks_rss(
     response: tuple[float, float],
     acceleration: float,
 ) -> bool:
-    """Whether a target breaks an RSS distance.
+    """Whether a target command violates an RSS distance.
 
     Parameters
     ----------
-    ego, state, rows, states, centers : as in `alongside`. width : of a lane [m]. lane, speed : the target [m/s].
+    ego, state, rows, states, centers : as in `alongside`. width : of a lane [m].
+    lane, speed : the target command; the speed in [m/s].
     braking : of the ego, of a leader, and of a follower [m/s^2]. response : times of the ego and of a follower [s].
-    acceleration : of a follower meanwhile [m/s^2].
+    acceleration : of a follower during its response time [m/s^2].
     """
     v, now = ego[_SPEED], nearest(centers, state[1])
     fast = max(v, speed)
@@ -158,7 +159,8 @@ def time_is_short(
     speed: float,
     threshold: float,
 ) -> bool:
-    """Whether the time to collision in a target's lane is below a threshold [s]; the rest as in `breaks_rss`."""
+    """Whether the time to collision in the target lane is below a threshold [s]; other parameters as in
+    `breaks_rss`."""
     v, changes = max(ego[_SPEED], speed), lane != nearest(centers, state[1])
     for i in range(rows.shape[0]):
         ahead = states[i, 0] >= state[0]

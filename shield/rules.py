@@ -1,7 +1,7 @@
 """Distance rules: the shield's cheap first stage, and baselines on their own.
 
-Each rule looks at the scene and the target that an action would set, and says whether it objects. A rule that
-objects on its own sends the ego to the *safe action*: keep the lane and slow down.
+Each rule accepts or refuses the target command of an action in a scene. If it decides alone, a refused action is
+replaced by the *safe action*: keep the lane and slow down.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Rule(Protocol):
 
     @property
     def reason(self) -> Reason:
-        """What to put in the record when the rule objects."""
+        """Reason for the record of a refusal."""
         ...
 
     def objects(self, scene: Scene, target: Target) -> bool:
@@ -55,9 +55,9 @@ def rss_gap(
 
     d = v_r rho + a rho^2 / 2 + (v_r + rho a)^2 / (2 b_r) - v_f^2 / (2 b_f), and at least 0.
 
-    Source: Shalev-Shwartz, Shammah, Shashua 2017, definition 1, which takes for granted that b_r <= b_f. A rear
-    vehicle that brakes harder comes nearest while both still move, when their speeds are equal; then the distance
-    to that moment is asked for as well.
+    Source: Shalev-Shwartz, Shammah, Shashua 2017, definition 1, which presupposes b_r <= b_f. A rear vehicle that
+    brakes harder comes nearest while both still move, when their speeds are equal. Then the result is at least the
+    distance up to that moment.
     """
     gap: FloatArray = _longitudinal(rear_speed, front_speed, response_time, acceleration, rear_braking, front_braking)
     return gap
@@ -83,15 +83,15 @@ _longitudinal, _lateral = np.vectorize(longitudinal_gap, [float]), np.vectorize(
 
 
 def _kinematics(scene: Scene) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """What the kernels look at: the ego and the others, as rows and on the road, and the lanes."""
+    """Arguments of the kernels: rows and road states of the ego and the others, and the lane centres."""
     return scene.ego, scene.ego_road, scene.others, scene.others_road, scene.road.centers
 
 
 @dataclass(frozen=True, slots=True)
 class BufferRule:
-    """A lane change into a vehicle that is alongside, within the buffer, is refused.
+    """Refuses a lane change into a vehicle alongside, within the buffer.
 
-    Necessary for verification, so that the shield asks it first: it saves a rollout and changes no verdict.
+    It is necessary for verification, so it is checked first: it saves a rollout and changes no verdict.
 
     Attributes
     ----------
@@ -102,13 +102,13 @@ class BufferRule:
     reason: Reason = Reason.BUFFER
 
     def objects(self, scene: Scene, target: Target) -> bool:
-        """Whether `target` enters a lane that somebody alongside is in."""
+        """Whether the lane of `target` contains a vehicle alongside."""
         return alongside(*_kinematics(scene), target.lane, self.longitudinal)
 
 
 @dataclass(frozen=True, slots=True)
 class DistanceRule:
-    """The fixed distance D: a lane change with some vehicle nearer than D (centre to centre) is refused.
+    """The fixed distance D: refuses a lane change while a vehicle is nearer than D, from centre to centre.
 
     Attributes
     ----------
@@ -128,18 +128,18 @@ class DistanceRule:
 
 @dataclass(frozen=True, slots=True)
 class RssRule:
-    """Responsibility-Sensitive Safety: longitudinal gaps in the lane that `target` uses, lateral gaps beside it.
+    """Responsibility-Sensitive Safety: longitudinal gaps in the lane of `target`, lateral gaps beside it.
 
     Attributes
     ----------
-    config : braking, response time and assumptions are taken from it.
+    config : source of the braking, the response time and the assumptions.
     """
 
     config: ShieldConfig
     reason: Reason = Reason.RSS
 
     def objects(self, scene: Scene, target: Target) -> bool:
-        """Whether a gap that RSS asks of the ego would be broken."""
+        """Whether `target` violates a gap that RSS requires of the ego."""
         c, a = self.config, self.config.assumptions
         aim = float(scene.road.width), target.lane, float(target.speed)
         braking, response = (c.braking, a.braking, a.follower_braking), (c.response_time, a.reaction_time)
@@ -148,7 +148,7 @@ class RssRule:
 
 @dataclass(frozen=True, slots=True)
 class TtcRule:
-    """Time to collision: a target is refused when its lane holds a collision nearer than the threshold.
+    """Time to collision: refuses a target command with a collision in its lane before the threshold.
 
     Attributes
     ----------

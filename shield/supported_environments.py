@@ -1,4 +1,4 @@
-"""Settings and configurations that the shield refuses, wherever they are handed in."""
+"""Checks of settings and configurations that the shield does not support."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ __all__ = [
 ]
 
 LOWEST = 5
-"""The fewest simulation frames a second at which the worst case is verified [Hz]."""
+"""Least simulation frequency for the worst case [Hz]."""
 LOWEST_SIMULATED = 3
-"""The same where the traffic is simulated [Hz]."""
+"""Least simulation frequency for simulated traffic [Hz]."""
 
 
 def check(config: ShieldConfig) -> None:
-    """Raise where settings are not for verification by simulation.
+    """Check that settings are for verification by simulation.
 
     Raises
     ------
@@ -45,16 +45,16 @@ def check(config: ShieldConfig) -> None:
 
 
 def require(config: ShieldConfig, has: str, instead: str = "", **wanted: Any) -> None:
-    """Raise where settings are not as `wanted`.
+    """Check that settings have the values in `wanted`.
 
     Parameters
     ----------
-    has : who has them so, with its verb. instead : what takes others.
+    has : subject and verb of the message. instead : alternative for other values.
 
     Raises
     ------
     ConfigError
-        That lists those which are not.
+        If some differ; the message lists these.
     """
     other = [name for name, value in wanted.items() if getattr(config, name) != value]
     if other:
@@ -64,7 +64,7 @@ def require(config: ShieldConfig, has: str, instead: str = "", **wanted: Any) ->
 
 
 def refuse_simulated(config: ShieldConfig) -> None:
-    """Raise where a door that does not simulate is asked to.
+    """Check that settings are not for simulated traffic, where the filter does not simulate.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def refuse_simulated(config: ShieldConfig) -> None:
 
 
 def check_target_speeds(speeds: Any) -> None:
-    """Raise where meta-actions could make the ego drive backwards, or where SLOWER would not be slower.
+    """Check that meta-actions cannot make the ego drive backwards, and that SLOWER is slower.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def check_target_speeds(speeds: Any) -> None:
 
 
 def check_perception(speeds: Any, config: ShieldConfig) -> None:
-    """Raise where the ego could be faster than it can brake from within the perception range.
+    """Check that the ego can brake from its greatest target speed within the perception range.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def check_perception(speeds: Any, config: ShieldConfig) -> None:
     Raises
     ------
     ConfigError
-        If the way to stop from the greatest of them is longer than the range. Vehicles beyond it do not count.
+        If the stopping distance from the greatest of them is longer than the range. Vehicles beyond it do not count.
     """
     fastest = float(np.max(np.asarray(speeds, dtype=float)))
     way = fastest**2 / (2 * config.braking)
@@ -124,17 +124,17 @@ def check_perception(speeds: Any, config: ShieldConfig) -> None:
 
 
 def check_frequency(frequency: float, simulated: bool) -> None:
-    """Raise where there are fewer simulation frames a second than verification has been tested with.
+    """Check that the simulation frequency is at least the lowest that verification has been tested with.
 
     Parameters
     ----------
     frequency : `simulation_frequency` of highway-env's configuration [Hz].
-    simulated : whether the traffic is simulated, and not bounded by the worst case.
+    simulated : whether the traffic is simulated, instead of the worst case.
 
     Raises
     ------
     ConfigError
-        If there are fewer than `LOWEST_SIMULATED`, or `LOWEST`.
+        If it is below `LOWEST_SIMULATED`, or `LOWEST`.
     """
     lowest = LOWEST_SIMULATED if simulated else LOWEST
     if frequency < lowest:
@@ -146,7 +146,7 @@ def check_frequency(frequency: float, simulated: bool) -> None:
 
 
 def refuse_manual_control(config: Mapping[str, Any]) -> None:
-    """Raise where highway-env's configuration lets the keyboard drive the ego and drops all actions.
+    """Check that highway-env's configuration does not let the keyboard drive the ego, which drops all actions.
 
     Raises
     ------

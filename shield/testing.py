@@ -1,6 +1,6 @@
-"""Conformance tests that a user's own rule or policy must pass; call them from a test of your own.
+"""Conformance tests for a user's own rule or policy; call them from a test of your own.
 
-They raise `AssertionError` with a text that says what was promised and what was seen instead.
+They raise `AssertionError` with a text that states the required and the observed behaviour.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from shield.wrappers.ranking import ranking_of
 __all__ = ["check_policy", "check_rule", "random_scene"]
 
 _GRID = 2.0**-10
-"""Random states lie on this grid, so that shifting them along the road rounds nothing [m], [m/s], [rad]."""
+"""Random states are multiples of this, so that a shift along the road causes no rounding [m], [m/s], [rad]."""
 
 
 def random_scene(rng: np.random.Generator, vehicles: int = 8, lanes: int = 4) -> Scene:
     """A random scene on a straight road along the x axis.
 
-    The others are anywhere within 120 m, most in a lane and some between two; nothing keeps them from overlapping.
+    The other vehicles are within 120 m, most in a lane and some between two; they may overlap.
 
     Parameters
     ----------
-    rng : where the randomness comes from.
-    vehicles : how many others.
-    lanes : how many lanes.
+    rng : random number generator.
+    vehicles : number of other vehicles.
+    lanes : number of lanes.
 
     Examples
     --------
@@ -59,16 +59,18 @@ def random_scene(rng: np.random.Generator, vehicles: int = 8, lanes: int = 4) ->
 
 
 def check_rule(rule: Rule, scenes: int = 200, seed: int = 0) -> None:
-    """Check that an object is a rule as the shield uses rules.
+    """Check that an object is a rule that the shield can use.
 
-    It names a `Reason`; answers with a bool for every action in random scenes; changes nothing in the scene; gives
-    the same answer twice; does not care about the order of the others, nor about where along the road they all
-    are; and has nothing to object to on an empty road.
+    - It has a `Reason`.
+    - It returns a bool for every action in random scenes, and the same one twice.
+    - It does not change the scene.
+    - Its result does not depend on the order of the others, or on a shift along the road.
+    - It refuses no action on an empty road.
 
     Parameters
     ----------
     rule : the rule.
-    scenes : how many random scenes to look at.
+    scenes : number of random scenes.
     seed : seed of the scenes.
 
     Raises
@@ -120,16 +122,16 @@ def check_policy(
 ) -> None:
     """Check that an object can be used as a policy in `Shield(policy, env=env)`.
 
-    `predict` takes SB3's arguments and returns an action of the action space and a state; it leaves the
-    observation alone; and scores, where the policy has them, are finite with one per action.
+    `predict` takes SB3's arguments, returns an action of the action space and a state, and does not change the
+    observation. If the policy has scores, they are finite, one per action.
 
     Parameters
     ----------
     policy : the policy.
     env : an environment with meta-actions; it is reset and stepped.
-    steps : how many decisions to look at.
+    steps : number of decisions.
     seed : seed of the first episode.
-    deterministic : also check that `predict(..., deterministic=True)` gives the same action twice.
+    deterministic : also check that `predict(..., deterministic=True)` returns the same action twice.
 
     Raises
     ------
@@ -189,7 +191,7 @@ def _predict(policy: Any, obs: Any, state: Any, start: Any) -> tuple[Any, Any]:
 
 def _answer(rule: Rule, scene: Scene, target: Target, where: str) -> bool:
     answer = rule.objects(scene, target)
-    # `numpy.bool` is not accepted: `answer is True` would be wrong with it.
+    # `numpy.bool` is not accepted: `answer is True` would be False with it.
     _require(
         isinstance(answer, bool),
         f"{type(rule).__name__}.objects must return a bool, got {answer!r} ({type(answer).__name__}): {where}",
@@ -203,6 +205,6 @@ def _arrays(scene: Scene) -> list[FloatArray]:
 
 
 def _require(holds: bool, text: str) -> None:
-    """An assertion that also holds under `python -O`."""
+    """An assertion that is also checked under `python -O`."""
     if not holds:
         raise AssertionError(text)

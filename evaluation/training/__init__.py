@@ -1,1 +1,1 @@
-"""Training of policies: options, environments, checkpoints, evaluation while it learns."""
+"""Training of policies: options, environments, checkpoints, and evaluation during training."""

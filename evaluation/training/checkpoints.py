@@ -1,4 +1,4 @@
-"""Checkpoints of a training: a run that was killed goes on, and ends with the model that it would have ended with."""
+"""Checkpoints of a training: a killed run can be resumed, and ends with the same model."""
 
 from __future__ import annotations
 
@@ -27,31 +27,32 @@ from shield.errors import ConfigError
 __all__ = ["Checkpoints"]
 
 _OF_THE_RUN = ("resume", "output", "tensorboard", "env_config", "setting", "env_id", "actions")
-"""Options that may change, or that the identity has as the environment."""
+"""Options that may change, or that the identity contains as the environment."""
 _KEPT = 2
-"""Checkpoints that are kept: the last one, and the one before it."""
+"""Number of checkpoints that are kept: the last one, and the one before it."""
 
 
 class Checkpoints:
     """The folder `OUTPUT-checkpoints` of a training.
 
-    `identity.json` says what is trained, `STEPS/` holds the model, the replay buffer, the statistics of `VecNormalize`,
-    the state of all random generators, what was counted and what was evaluated. A checkpoint is written under another
-    name and renamed when it is whole, so that a process that is killed leaves none by half.
+    `identity.json` holds the specification of the training. `STEPS/` holds the model, the replay buffer, the statistics
+    of `VecNormalize`, the state of all random generators, counts and evaluations. A checkpoint is written under another
+    name and renamed when it is complete, so a killed process leaves no partial one.
 
-    At each checkpoint all environments begin new episodes, with seeds that follow from the training seed and the step:
-    the simulator's state is not saved. Both a run that goes on and one that is resumed do so, and so learn the same,
-    bit for bit.
+    The simulator's state is not saved. So at each checkpoint all environments begin new episodes, with seeds that
+    follow from the training seed and the step. An uninterrupted and a resumed run both do so, and their models are
+    equal to the last bit.
 
     Attributes
     ----------
-    last : the folder of the last checkpoint, None without one. resumed : the steps of checkpoints at which the
-        training was gone on with. callback : what writes checkpoints, for `learn`.
+    last : folder of the last checkpoint, None without one.
+    resumed : steps of the checkpoints from which the training was resumed.
+    callback : callback for `learn` that writes checkpoints.
 
     Raises
     ------
     ConfigError
-        If there are checkpoints and `resume` is not set, or they are of another training; the differences are named.
+        If there are checkpoints and `resume` is not set, or they belong to another training, with the differences.
     """
 
     def __init__(self, options: TrainingOptions) -> None:
@@ -67,12 +68,12 @@ class Checkpoints:
 
     @classmethod
     def of(cls, options: TrainingOptions) -> Checkpoints | None:
-        """Those of a training; None where none are asked for.
+        """The checkpoints of a training; None if the options set none.
 
         Raises
         ------
         ConfigError
-            If `resume` is set without `checkpoint_every`, beside what the class raises.
+            If `resume` is set without `checkpoint_every`, or for a reason of the class.
         """
         if options.checkpoint_every:
             return cls(options)
@@ -82,7 +83,7 @@ class Checkpoints:
 
     @property
     def last(self) -> Path | None:
-        """The folder of the last whole checkpoint."""
+        """Folder of the last complete checkpoint."""
         whole = sorted(each for each in self._folder.glob("[0-9]*") if each.name.isdigit())
         return whole[-1] if whole else None
 
@@ -92,15 +93,15 @@ class Checkpoints:
         return self._steps
 
     def attach(self, counts: CountSteps, evaluation: PeriodicEvaluation | None) -> None:
-        """What is saved and restored beside the model."""
+        """Set the counts and the evaluation that are saved and restored with the model."""
         self._counts, self._evaluation = counts, evaluation
 
     def load(self, env: VecEnv) -> BaseAlgorithm:
-        """The model of the last checkpoint.
+        """Load the model of the last checkpoint.
 
         Parameters
         ----------
-        env : the environments to go on in.
+        env : environments for the rest of the training.
         """
         folder = self.last
         assert folder is not None
@@ -148,16 +149,16 @@ class Checkpoints:
         return whole
 
     def restart(self, model: BaseAlgorithm, folder: Path) -> None:
-        """Begin new episodes, with the random generators as the checkpoint has them."""
+        """Begin new episodes, with the random generators of the checkpoint."""
         _restore(model, self._state(folder)["generators"])
         env = model.get_env()
         assert env is not None
-        # Away from the seeds that environments began with, and below those of evaluation.
+        # These seeds differ from those of the first episodes, and are below those of the evaluation.
         drawn = np.random.default_rng([self._options.seed, model.num_timesteps])
         env.seed(int(drawn.integers(FIRST_EVALUATION_SEED)))
         statistics = model.get_vec_normalize_env()
         if statistics is not None:
-            # They have seen the first observations of `learn` since, in a run that is resumed.
+            # In a resumed run the statistics contain the first observations of `learn`, so they are restored.
             saved = VecNormalize.load(str(folder / "statistics.pkl"), statistics.venv)
             statistics.obs_rms, statistics.ret_rms = saved.obs_rms, saved.ret_rms
         held: Any = model
@@ -182,14 +183,14 @@ class Checkpoints:
 
 
 class _WriteCheckpoints(BaseCallback):
-    """Writes a checkpoint between two rollouts, when the steps have passed the next multiple of `every`."""
+    """Writes a checkpoint between two rollouts, after the steps have passed the next multiple of `every`."""
 
     def __init__(self, checkpoints: Checkpoints) -> None:
         super().__init__()
         self._checkpoints, self._next, self._resume_at = checkpoints, checkpoints.every, Path()
 
     def begin_at(self, folder: Path) -> None:
-        """Go on from a checkpoint."""
+        """Continue from a checkpoint."""
         self._resume_at = folder
         self._next = _after(int(folder.name), self._checkpoints.every)
 
@@ -206,12 +207,12 @@ class _WriteCheckpoints(BaseCallback):
 
 
 def _after(steps: int, every: int) -> int:
-    """The next multiple of `every` after so many steps."""
+    """The next multiple of `every` after `steps`."""
     return (steps // every + 1) * every
 
 
 def _identity(options: TrainingOptions) -> dict[str, Any]:
-    """What determines the model that a training ends with, as plain values."""
+    """The values that determine the final model, as plain values."""
     own = {key: value for key, value in options.plain().items() if key not in _OF_THE_RUN}
     return json.loads(  # type: ignore[no-any-return]
         json.dumps({**own, "environment": of_environment(options.environment), "versions": versions()})
@@ -219,7 +220,7 @@ def _identity(options: TrainingOptions) -> dict[str, Any]:
 
 
 def _generators(model: BaseAlgorithm) -> dict[str, Any]:
-    """The state of the random generators that training draws from."""
+    """States of the random generators of the training."""
     return {
         "python": random.getstate(),
         "numpy": np.random.get_state(),  # noqa: NPY002 - Stable-Baselines3 draws from it

@@ -1,4 +1,4 @@
-"""What happened while a policy was trained."""
+"""Counts of a training."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class CountSteps(BaseCallback):
 
     Attributes
     ----------
-    counts : "episodes" that ended, "crashes", and "overridden", steps that the shield overrode.
+    counts : "episodes" that ended, "crashes", and "overridden", the number of steps that the shield overrode.
     """
 
     def __init__(self) -> None:

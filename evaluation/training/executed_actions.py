@@ -1,4 +1,4 @@
-"""Learning from the action that was executed, where the shield replaced the one that was proposed."""
+"""Learning from the executed action, if the shield replaced the proposal."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ __all__ = ["LearnFromExecuted"]
 class LearnFromExecuted(BaseCallback):
     """Stores each transition with the meta-action that was executed, `info["action"]`.
 
-    On-policy (PPO, A2C, TRPO) the probability that the policy gave to the executed action is stored with it, so that
-    the ratio of new to old probability is 1 before the first update; the action was not drawn from the policy, which
-    makes the gradient a biased one. Off-policy (DQN) the replay buffer holds the executed action: Q-learning takes
-    transitions from any policy, and nothing is biased.
+    On-policy (PPO, A2C, TRPO), the policy's probability of the executed action is stored with it, so the ratio of new
+    to old probability is 1 before the first update. The gradient is biased, because the action was not drawn from the
+    policy. Off-policy (DQN), the replay buffer holds the executed action. Q-learning accepts transitions of any policy,
+    so there is no bias.
 
-    A decision that was held back without another action in its place is stored as proposed.
+    A decision that was held back without another action is stored as proposed.
 
     Raises
     ------
@@ -31,8 +31,8 @@ class LearnFromExecuted(BaseCallback):
 
     Notes
     -----
-    Stable-Baselines3 calls `on_step` between the step and the storing, and stores the arrays that it shows here; they
-    are changed in place. `replaced` counts transitions whose action was replaced.
+    Stable-Baselines3 calls `on_step` between the step and the storage, and stores the arrays in `locals`; they are
+    changed in place. `replaced` counts transitions with a replaced action.
     """
 
     replaced = 0
@@ -59,7 +59,7 @@ class LearnFromExecuted(BaseCallback):
             with torch.no_grad():
                 chosen = torch.as_tensor(executed, device=self.model.device)
                 _, log_probs, _ = policy.evaluate_actions(shown["obs_tensor"], chosen)
-                # Only what was replaced: the others keep their value to the bit.
+                # Other entries keep their value to the last bit.
                 shown["log_probs"][replaced] = log_probs[replaced]
         return True
 

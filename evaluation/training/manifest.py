@@ -1,4 +1,4 @@
-"""What the JSON file beside a trained policy says."""
+"""Manifest of a trained policy, the JSON file beside it."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ __all__ = ["manifest_of"]
 
 _PACKAGES = ("highway-shield", "highway-env", "gymnasium", "stable-baselines3", "torch", "numpy")
 _APART = ("setting", "env_id", "env_config", "actions", "algorithm", "steps", "seed", "output", "hyperparameters")
-"""Options that the manifest has under names of its own, or that `train` takes by place."""
+"""Options that the manifest has under other names, or that are positional arguments of `train`."""
 _OF_THE_RUN = ("resume", "tensorboard", "masks")
-"""Options that are not part of the call that repeats a training: masks are in the algorithm."""
+"""Options that are not part of the call that repeats a training; masks are implied by the algorithm."""
 
 
 def manifest_of(options: TrainingOptions, command: str | None = None) -> dict[str, Any]:
-    """What is known before a training.
+    """The part of the manifest that is known before a training.
 
     Parameters
     ----------
-    options : how it is trained. command : the shell command that repeats it; by default one that calls `train`.
+    options : the options of the training.
+    command : shell command that repeats it; by default a call of `train`.
     """
     setting, parameters = options.environment, options.plain()["hyperparameters"]
     own = {key: value for key, value in options.over(envs=4).differing().items() if key not in (*_APART, *_OF_THE_RUN)}

@@ -1,4 +1,4 @@
-"""Classes in hyperparameters that come from TOML or the command line, by their dotted names."""
+"""Conversion of dotted names to classes in hyperparameters from TOML or the command line."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _CLASSES = ("activation_fn", "features_extractor_class", "optimizer_class")
 
 
 def with_classes(hyperparameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Hyperparameters with the classes in `policy_kwargs` that are named as text.
+    """Hyperparameters with classes in `policy_kwargs` in place of their names.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""`TrainingOptions`: all that `shield train` can be told. One field is one option of the command and one TOML key."""
+"""`TrainingOptions`: all options of `shield train`. One field is one option of the command and one TOML key."""
 
 from __future__ import annotations
 
@@ -25,42 +25,46 @@ from shield.errors import ConfigError
 __all__ = ["LEARN_FROM", "ON_POLICY", "TrainingOptions"]
 
 ON_POLICY = ("a2c", "ppo", "maskableppo")
-"""Algorithms that can learn from normalised observations and rewards."""
+"""Algorithms with normalisation of observations and rewards."""
 LEARN_FROM = ("proposed", "executed")
-"""Which of two actions a transition is stored with, where the shield replaced one by the other."""
+"""Action that a transition is stored with, if the shield replaced the proposal."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingOptions:
-    """How one policy is trained.
+    """Options of the training of one policy.
 
     Attributes
     ----------
-    setting : the environment, by name or as a `Setting`; or env_id : any environment by its Gymnasium id, and
-        env_config : a TOML file of what differs from its configuration.
-    algorithm : one of `TRAINABLE`. steps : decisions; PPO and A2C round up to whole rollouts.
-    seed : 0 to 9,999. output : the zip file; the suffix is added if it is missing.
-    envs : environments side by side, as many seeds from `seed` on.
-    hyperparameters : keyword arguments of the algorithm; else those of Stable-Baselines3, with "MlpPolicy".
-    normalise : of "observations" and "rewards", for PPO and A2C; the saved policy takes raw observations.
-    exploration : standard deviation of each continuous action at the start, for PPO and A2C.
-    fast : whether to compute observations at once (`FastObservations`); they are the same.
-    simulator : one of `SIMULATORS`; "auto" takes the compiled copy where it serves, with the same result.
+    setting : the environment, by name or as a `Setting`.
+    env_id : any environment by its Gymnasium id, instead of `setting`.
+    env_config : a TOML file with changes to its configuration.
+    algorithm : one of `TRAINABLE`.
+    steps : number of decisions; PPO and A2C round up to whole rollouts.
+    seed : training seed, 0 to 9,999.
+    output : path of the zip file; the suffix is added if it is missing.
+    envs : number of environments in a batch, with consecutive seeds from `seed` on.
+    hyperparameters : keyword arguments of the algorithm; by default those of Stable-Baselines3, with "MlpPolicy".
+    normalise : any of "observations" and "rewards", for PPO and A2C; the saved policy takes raw observations.
+    exploration : initial standard deviation of each continuous action, for PPO and A2C.
+    fast : whether to compute observations faster (`FastObservations`), with equal values.
+    simulator : one of `SIMULATORS`; "auto" uses the compiled copy where supported, with the same result.
     shield : a profile of `ShieldConfig` to learn inside the shield, or "none".
-    sensor : through which the policy sees.
-    override_penalty : what is taken from the reward of each step that the shield overrode.
+    sensor : sensor of the policy.
+    override_penalty : deduction from the reward of each overridden step.
     masks : whether PPO chooses among the actions that verify (MaskablePPO).
     learn_from : whether a transition is stored with the "proposed" or the "executed" action.
-    tensorboard : a folder to log to.
+    tensorboard : folder of logs.
     checkpoint_every : steps between two checkpoints, in the folder `OUTPUT-checkpoints`; 0 for none.
-    resume : whether to go on from the last checkpoint, if there is one.
-    evaluate_every : steps between two evaluations while it learns; 0 for none.
-    evaluation_episodes : episodes of each. videos : whether one of them is filmed.
+    resume : whether to continue from the last checkpoint, if there is one.
+    evaluate_every : steps between two evaluations during training; 0 for none.
+    evaluation_episodes : episodes of each evaluation.
+    videos : whether one of them is filmed.
 
     Raises
     ------
     ConfigError
-        If a value is not valid, or two do not go together.
+        If a value is not valid, or two are inconsistent.
 
     Examples
     --------
@@ -102,17 +106,17 @@ class TrainingOptions:
 
     @classmethod
     def names(cls) -> list[str]:
-        """The names of the options."""
+        """Names of the options."""
         return [each.name for each in fields(cls)]
 
     @classmethod
     def read(cls, path: str | Path) -> dict[str, Any]:
-        """The options in a TOML file, by name.
+        """Read the options in a TOML file, by name.
 
         Raises
         ------
         ConfigError
-            If there is no such file, it is no TOML, or has an unknown key.
+            If there is no such file, it is no TOML, or it has an unknown key.
         """
         found = read_toml(path)
         for key in found:
@@ -120,7 +124,7 @@ class TrainingOptions:
         return found
 
     def differing(self) -> dict[str, Any]:
-        """The options that are not as by default, as plain values."""
+        """The options that differ from the defaults, as plain values."""
         return {
             each.name: value
             for each in fields(self)
@@ -132,7 +136,7 @@ class TrainingOptions:
         return {each.name: _plain(getattr(self, each.name)) for each in fields(self)}
 
     def over(self, **changes: Any) -> TrainingOptions:
-        """The same with other values."""
+        """A copy with other values."""
         return replace(self, **changes)
 
     @property
@@ -147,12 +151,12 @@ class TrainingOptions:
 
     @property
     def learner(self) -> str:
-        """The algorithm that learns: with masks MaskablePPO."""
+        """Name of the algorithm; with masks MaskablePPO."""
         return "maskableppo" if self.masks else self.algorithm
 
     @property
     def path(self) -> Path:
-        """The file to write."""
+        """Path of the zip file."""
         if self.output is None:
             seen = "" if self.sensor == "exact" else f"-{self.sensor}"
             name = self.environment.name.replace(":", "-").replace("/", "-")
@@ -217,7 +221,7 @@ def _check_shield(options: TrainingOptions) -> None:
 
 
 def _as_held(one: Field[Any], value: Any) -> Any:
-    """A value as the field has it: from TOML and the command line come texts and lists."""
+    """Convert a value from TOML or the command line, a text or a list, to the type of the field."""
     if one.name in ("output", "tensorboard", "env_config"):
         return None if value is None else Path(value)
     if one.name in ("normalise", "exploration"):
@@ -233,7 +237,7 @@ def _default(one: Field[Any]) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """A value as JSON has it."""
+    """A value as a JSON value."""
     if isinstance(value, Setting):
         return {"name": value.name, "env_id": value.env_id, "config": dict(value.config)}
     if isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""`PenalisedVecEnv`: shielded environments in which an overridden decision costs something."""
+"""`PenalisedVecEnv`: shielded environments with an override penalty."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ __all__ = ["PenalisedVecEnv"]
 
 
 class PenalisedVecEnv(VecEnvWrapper):
-    """Rewards less a penalty for each step that the shield overrode; `info["episode"]` keeps the environment's return.
+    """Rewards less a penalty for each overridden step; `info["episode"]` keeps the environment's return.
 
     Parameters
     ----------
-    venv : `ShieldedVecEnv`, or a `DummyVecEnv` of `ShieldedEnv`s. penalty : of a step, in units of the reward.
+    venv : `ShieldedVecEnv`, or a `DummyVecEnv` of `ShieldedEnv`s.
+    penalty : penalty of a step, in units of the reward.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """A log of how the ego drives: a row for each decision, and a row for each episode.
 
-All numbers are in SI units; `UNITS` says which. On the lane is who is where highway-env says so, or on a parking lot; a
-decision counts by where it ends.
+All numbers are in SI units, see `UNITS`. The ego is on its lane by highway-env's definition, and always on a parking
+lot. A decision counts by the state at its end.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from shield.errors import ConfigError
 __all__ = ["MEASURES", "UNITS", "PerformanceLogger"]
 
 MEASURES = ("reward", "speed", "speed_normalised", "jerk", "jerk_normalised", "distance", "collisions", "on_lane_time")
-"""What episodes have the mean, the peak and the total of."""
+"""Measures with a mean, a peak and a total for each episode."""
 
 _STEP_UNITS = {
     "time": "s",
@@ -55,30 +55,29 @@ UNITS: Mapping[str, str] = MappingProxyType(
 
 
 class PerformanceLogger(gym.Wrapper[Any, Any, Any, Any]):
-    """Writes down every decision of every episode.
+    """Records every decision of every episode.
 
     `steps()` has a row for each decision: `episode`, `step`, `time` since reset, `reward`, `speed`, `speed_normalised`
-    in [0, 1], what was commanded last (`acceleration`, `steering`), `lane_distance` and `lane_heading` (see
-    `LaneOffset`), `jerk` (the physical one) and `jerk_normalised` (that of Dong et al. 2023), both sizes and NaN before
-    there are enough decisions, `distance` driven in the decision, `collisions` (1 where the ego crashes),
-    `on_lane_time`.
+    in [0, 1], the last command (`acceleration`, `steering`), `lane_distance` and `lane_heading` (see `LaneOffset`),
+    `jerk` (the physical one) and `jerk_normalised` (that of Dong et al. 2023), `distance` driven in the decision,
+    `collisions` (1 if the ego crashes), `on_lane_time`. Both jerks are magnitudes, and NaN before there are enough
+    decisions.
 
-    `episodes()` has a row for each episode that has ended, or was given up by a reset: `episode`, `seed`, `steps`,
-    `duration`, `finished`, `success` (None where the environment says nothing), `on_lane_rate`, and of all of
-    `MEASURES` the mean, the peak and the total over its decisions (NaN left out).
+    `episodes()` has a row for each episode that has ended, or was stopped by a reset: `episode`, `seed`, `steps`,
+    `duration`, `finished`, `success` (None if the environment does not report it), `on_lane_rate`, and for all
+    `MEASURES` the mean, the peak and the total over its decisions (without NaN).
 
     Parameters
     ----------
     env : an environment of highway-env; put wrappers that change its reward inside.
-    speed_range : speeds that count as 0 and as 1 [m/s].
-    acceleration_range : between full braking and full throttle [m/s^2]; by default that of the environment's actions,
-        10 where they are meta-actions.
+    speed_range : speeds that are normalised to 0 and to 1 [m/s].
+    acceleration_range : difference of full throttle and full braking [m/s^2]; by default that of the environment's
+        actions, 10 for meta-actions.
 
     Raises
     ------
     ConfigError
         If a range is empty or not finite.
-
     Examples
     --------
     >>> from evaluation.settings import get_setting
@@ -112,7 +111,7 @@ class PerformanceLogger(gym.Wrapper[Any, Any, Any, Any]):
         self._done: dict[str, Any] | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """As the environment's; an episode that has begun is closed."""
+        """Reset the environment; an unfinished episode is closed."""
         self._close_episode()
         result = self.env.reset(seed=seed, options=options)
         base: Any = self.unwrapped
@@ -120,7 +119,7 @@ class PerformanceLogger(gym.Wrapper[Any, Any, Any, Any]):
         return result
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """As the environment's."""
+        """Step the environment, and record the decision."""
         base: Any = self.unwrapped
         crashed, place = bool(base.vehicle.crashed), base.vehicle.position.copy()
         observation, reward, terminated, truncated, info = self.env.step(action)
@@ -152,18 +151,18 @@ class PerformanceLogger(gym.Wrapper[Any, Any, Any, Any]):
         return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame({"episode": [], "step": []})
 
     def episodes(self) -> pd.DataFrame:
-        """A row for each episode that is over."""
+        """A row for each episode that has ended."""
         rows = [row for _, row in self._finished]
         if self._done is not None:
             rows.append(self._episode(self._table()))
         return pd.DataFrame(rows)
 
     def to_csv(self, path: str | Path) -> tuple[Path, Path]:
-        """Write NAME-steps.csv and NAME-episodes.csv, and return where they are.
+        """Write NAME-steps.csv and NAME-episodes.csv, and return their paths.
 
         Parameters
         ----------
-        path : NAME.csv; folders are made.
+        path : NAME.csv; folders are created.
 
         Raises
         ------
@@ -173,7 +172,7 @@ class PerformanceLogger(gym.Wrapper[Any, Any, Any, Any]):
         return self._write(Path(path), ".csv")
 
     def to_parquet(self, path: str | Path) -> tuple[Path, Path]:
-        """Write NAME-steps.parquet and NAME-episodes.parquet, as `to_csv` does."""
+        """Write NAME-steps.parquet and NAME-episodes.parquet, like `to_csv`."""
         return self._write(Path(path), ".parquet")
 
     def _write(self, path: Path, ending: str) -> tuple[Path, Path]:
@@ -192,12 +191,12 @@ class PerformanceLogger(gym.Wrapper[Any, Any, Any, Any]):
         self._rows, self._done = [], None
 
     def _table(self) -> pd.DataFrame:
-        """The decisions of the episode that is under way."""
+        """The decisions of the present episode."""
         base: Any = self.unwrapped
         table = pd.DataFrame(self._rows)
         table.insert(0, "episode", len(self._finished))
         dt = 1.0 / base.config["policy_frequency"]
-        # The speed at reset comes first, so a decision's jerk needs the one before it; a command has none at reset.
+        # The speed at reset comes first, so the jerk needs one earlier decision; commands have no value at reset.
         speeds = [self._begin, *table["speed"]]
         commands = table["acceleration"], table["steering"], self._acceleration_range()
         table["jerk"] = np.concatenate([[np.nan], jerk(speeds, dt)])

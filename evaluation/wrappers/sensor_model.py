@@ -1,4 +1,4 @@
-"""What may be wrong with a sensor, and sensors by name."""
+"""Sensor models with noise and faults, and sensors by name."""
 
 from __future__ import annotations
 
@@ -18,24 +18,22 @@ __all__ = ["SENSORS", "SensorModel", "get_sensor"]
 
 @dataclass(frozen=True, slots=True)
 class SensorModel:
-    """What is wrong with a sensor.
+    """Noise and faults of a sensor.
 
     Attributes
     ----------
     sigma : standard deviation of the noise of each feature, of x, y, vx and vy.
-    normalised : whether these are in normalised units, a share of half the feature's range, and not in m and m/s.
-    dropout : probability with which each row is empty.
-    delay : for how many decisions what is shown is out of date.
-    ego : whether the ego's own row is as noisy and late as the others'; what is relative is to where the ego was.
-    tails : degrees of freedom of a Student t that the noise is drawn from, scaled to have the standard deviations told,
-        and so above 2; infinite for a normal distribution.
-    bias : by how much what is shown of each feature is too large at all times, in the unit of `sigma`; on the ego's row
-        as `ego` says.
-    range : whoever is further ahead or behind than this, along x, is not shown [m].
-    ghosts : how many appear in a decision in the mean who are not there.
-    lasting : for how many simulation frames a ghost is shown.
-    change : a time since the reset [s], and what the standard deviations are multiplied by from then on; None for
-        never.
+    normalised : whether it is in normalised units, a share of half the feature's range, instead of m and m/s.
+    dropout : probability of an empty row.
+    delay : age of an observation [decisions].
+    ego : whether the ego's own row has noise and delay too; relative rows then refer to the delayed ego.
+    tails : degrees of freedom of a Student t distribution of the noise, scaled to `sigma`, and so above 2; infinite for
+        a normal distribution.
+    bias : constant error of each feature, in the unit of `sigma`; for the ego's row only with `ego`.
+    range : range of the sensor ahead and behind, along x; vehicles beyond are not shown [m].
+    ghosts : mean number of new false detections in a decision.
+    lasting : number of simulation frames for which a false detection is shown.
+    change : a time since the reset [s], and the factor of the standard deviations from then on; None for no change.
 
     Raises
     ------
@@ -100,18 +98,24 @@ SENSORS: Mapping[str, SensorModel] = MappingProxyType(
         "range-60": SensorModel(range=60.0),
     }
 )
-"""Sensors by name: noise of 0.5 and 2 m and m/s, the latter with a tenth of the rows missing and a decision late too,
-and noise in normalised units; 0.5 m and m/s that is heavy-tailed (Student t with 3 degrees), off by 0.5 m and m/s, or 3
-times as large from 10 s on; and exact ones, with a ghost in 5 decisions, or that see 60 m."""
+"""Sensors by name.
+
+- `metric-0.5` and `metric-2` have noise of 0.5 and 2 m and m/s. `metric-2-late` also misses a tenth of the rows, and is
+  one decision late.
+- `normalised-0.2` and `normalised-0.5` have noise in normalised units.
+- `heavy-0.5`, `biased-0.5` and `worsening-0.5` have noise of 0.5 m and m/s: heavy-tailed (Student t with 3 degrees of
+  freedom), with a bias of 0.5 m and m/s, and 3 times as large from 10 s on.
+- `ghosts` and `range-60` are exact, with one false detection in 5 decisions on average, and with a range of 60 m.
+"""
 
 
 def get_sensor(name: str) -> SensorModel:
-    """A sensor by its name; `metric-S` and `normalised-S` are noise of any standard deviation S.
+    """A sensor by its name; `metric-S` and `normalised-S` have noise of any standard deviation S.
 
     Raises
     ------
     ConfigError
-        That lists those that there are.
+        With the valid names.
     """
     check_sensor(name)
     if name in SENSORS:

@@ -1,5 +1,6 @@
-"""A sensor that is not exact: noise, bias, dropout, delay, a range and ghosts on Kinematics observations, by the names
-of their features."""
+"""Sensor wrapper for Kinematics observations: noise, bias, dropout, delay, range and false detections, by feature
+names.
+"""
 
 from __future__ import annotations
 
@@ -20,27 +21,27 @@ __all__ = ["SENSORS", "SensorModel", "SensorNoise", "get_sensor"]
 
 
 class SensorNoise(gym.ObservationWrapper[Any, Any, Any]):
-    """Shows what a bad sensor shows; drawn by the seed of the reset.
+    """Returns observations of a sensor with noise and faults, drawn from the seed of the reset.
 
-    Noise is drawn anew whenever something is observed, at the frames between two decisions too where somebody looks.
-    What is clipped is clipped before. An empty row is all zeros. Ghosts have noise as everybody has.
+    Noise is drawn anew for every observation, including those at frames between two decisions. Clipping of the inner
+    observation comes before the noise. An empty row is all zeros. False detections have noise too.
 
     Parameters
     ----------
     env : an environment of highway-env with a Kinematics observation.
-    model : what is wrong with it.
+    model : noise and faults of the sensor.
 
     Attributes
     ----------
-    sensor_noise : standard deviations of x, y [m], vx, vy [m/s] of what is shown, (4,); known after the first reset. Of
-        tails, bias, ghosts and a change the sensor says nothing.
-    sensor_delay : for how many frames it is out of date.
-    sensor_range : how far ahead and behind anybody is shown, along x [m].
+    sensor_noise : standard deviations of x, y [m], vx, vy [m/s], (4,); known after the first reset. They contain no
+        tails, bias, false detections and changes.
+    sensor_delay : age of an observation [frames].
+    sensor_range : range ahead and behind, along x [m].
 
     Raises
     ------
     ConfigError
-        If there are to be ghosts on a road that is no straight highway.
+        If the model has false detections and the road is no straight highway.
     """
 
     def __init__(self, env: gym.Env[Any, Any], model: SensorModel) -> None:
@@ -56,7 +57,7 @@ class SensorNoise(gym.ObservationWrapper[Any, Any, Any]):
             raise ConfigError("ghosts are on straight highways: the environment's config has no 'lanes_count'")
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset the environment; a seed makes the noise the same again."""
+        """Reset the environment; a seed makes the noise reproducible."""
         if seed is not None:
             self.redraw(seed)
         self._past.clear()
@@ -82,12 +83,12 @@ class SensorNoise(gym.ObservationWrapper[Any, Any, Any]):
         return self.observation(observation), info
 
     def redraw(self, seed: int) -> None:
-        """From now on, what is random goes by another seed; what has been shown stays as it was."""
+        """Use another seed for all random numbers from now on; past observations stay the same."""
         for rng, part in ((self._rng, 1), (self._ghostly, 2)):
             rng.bit_generator.state = np.random.default_rng([seed, part]).bit_generator.state
 
     def observation(self, observation: Any) -> Any:
-        """What the sensor shows of what is there."""
+        """The sensor's observation of an exact one."""
         now = int(self.unwrapped.steps)  # type: ignore[attr-defined]
         exact, model = np.array(observation), self.model
         shown = self._late(now, exact).copy()
@@ -113,7 +114,7 @@ class SensorNoise(gym.ObservationWrapper[Any, Any, Any]):
         return shown
 
     def _drawn(self, rng: np.random.Generator, shape: tuple[int, ...], first: int) -> FloatArray:
-        """Numbers with a standard deviation of 1."""
+        """Random numbers with a standard deviation of 1."""
         tails = self.model.tails
         normal = tails == inf
         drawn: FloatArray = rng.standard_normal(shape) if normal else rng.standard_t(tails, shape)
@@ -130,13 +131,13 @@ class SensorNoise(gym.ObservationWrapper[Any, Any, Any]):
         )
 
     def _beyond(self, rows: FloatArray) -> BoolArray:
-        """Which rows show somebody beyond the range, (rows,)."""
+        """Rows of vehicles beyond the range, (rows,)."""
         x = self._states(rows)[:, 0]
         beyond: BoolArray = np.abs(x - x[0] if self._spec.absolute else x) > self.model.range
         return beyond
 
     def _late(self, now: int, observation: Any) -> Any:
-        """What was there when what is shown now was seen."""
+        """The delayed observation."""
         if not self._past or self._past[-1][0] != now:
             self._past.append((now, observation))
         while len(self._past) > 1 and self._past[1][0] <= now - self.sensor_delay:

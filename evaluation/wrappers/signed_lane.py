@@ -1,8 +1,8 @@
-"""Where the ego is on its lane, with signs.
+"""Position and heading of the ego relative to its lane, with signs.
 
-Both numbers are those of Dong et al. 2023: how far the ego is off the middle of its lane, and how far its heading is
-off the lane's. highway-env's y points down, so to the right is positive and so is a turn to the right (clockwise on the
-screen). The lane is the one that highway-env holds for the ego's: the nearest, in place and heading.
+Both numbers are those of Dong et al. 2023: the distance of the ego from the centre line of its lane, and the difference
+of its heading from the lane's. highway-env's y points down, so positions to the right are positive, and so are turns to
+the right (clockwise on the screen). The lane is highway-env's lane of the ego: the nearest one in position and heading.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ __all__ = ["LaneOffset", "SignedLaneObservation", "extend_observation", "extende
 
 
 class LaneOffset(NamedTuple):
-    """Where a vehicle is on its lane.
+    """Position and heading of a vehicle relative to its lane.
 
     Attributes
     ----------
-    distance : signed distance to the middle of the lane, to the right positive [m].
-    heading : heading of the vehicle less that of the lane, in (-pi, pi], to the right positive [rad].
+    distance : signed distance from the centre line of the lane, positive to the right [m].
+    heading : heading of the vehicle minus that of the lane, in (-pi, pi], positive to the right [rad].
     """
 
     distance: float
@@ -37,7 +37,7 @@ _HIGH = np.array([np.inf, np.pi], np.float32)
 
 
 def lane_offset(vehicle: Any) -> LaneOffset:
-    """Where a vehicle of highway-env is on its lane.
+    """Position and heading of a vehicle of highway-env relative to its lane.
 
     Examples
     --------
@@ -48,7 +48,7 @@ def lane_offset(vehicle: Any) -> LaneOffset:
     LaneOffset(distance=0.0, heading=0.0)
     """
     along, distance = vehicle.lane.local_coordinates(vehicle.position)
-    # Turned over twice: the half-open interval is then closed on the side of +pi.
+    # Negated twice, so that the half-open interval is closed at +pi.
     heading = -wrap_to_pi(vehicle.lane.heading_at(along) - vehicle.heading)
     return LaneOffset(float(distance), float(heading) + 0.0)
 
@@ -56,8 +56,8 @@ def lane_offset(vehicle: Any) -> LaneOffset:
 def extended_space(space: spaces.Space[Any]) -> spaces.Space[Any]:
     """The space of observations with the two numbers of `LaneOffset` added.
 
-    A vector or a table becomes a vector with the two at its end; a picture a dictionary of "observation" and
-    "signed_lane", and a dictionary has "signed_lane" added.
+    A vector or a table becomes a vector that ends with the two numbers. A picture becomes a dictionary of "observation"
+    and "signed_lane". A dictionary gets the key "signed_lane".
 
     Raises
     ------
@@ -77,12 +77,12 @@ def extended_space(space: spaces.Space[Any]) -> spaces.Space[Any]:
 
 
 def extend_observation(observation: Any, offset: LaneOffset, space: spaces.Space[Any]) -> Any:
-    """An observation with a `LaneOffset` added, as `extended_space` says.
+    """An observation with a `LaneOffset` added, in the form of `extended_space`.
 
     Parameters
     ----------
-    observation : as it came.
-    offset : what is added.
+    observation : the original observation.
+    offset : the numbers to add.
     space : the extended space.
     """
     signed = np.array(offset, np.float32)
@@ -93,7 +93,7 @@ def extend_observation(observation: Any, offset: LaneOffset, space: spaces.Space
 
 
 class SignedLaneObservation(gym.ObservationWrapper[Any, Any, Any]):
-    """Adds the signed distance to the middle of the lane [m] and the signed heading difference [rad].
+    """Adds the signed distance from the centre line of the lane [m] and the signed heading difference [rad].
 
     Parameters
     ----------
@@ -102,8 +102,7 @@ class SignedLaneObservation(gym.ObservationWrapper[Any, Any, Any]):
     Raises
     ------
     ConfigError
-        If its observations are anything else, such as the tuple of several agents.
-
+        If its observations have another form, such as the tuple of several agents.
     Examples
     --------
     >>> from evaluation.settings import get_setting

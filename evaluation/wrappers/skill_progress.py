@@ -1,4 +1,4 @@
-"""How far each of many environments is in its skill: the next primitive action, and where a skill is over."""
+"""Progress of the skills of a batch of environments: the next primitive action of each, and the end of a skill."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ __all__ = ["SkillProgress"]
 
 
 class SkillProgress:
-    """The skill of each of e environments, and how many of its actions are carried out.
+    """The skill of each of e environments, and the number of its executed actions.
 
     Parameters
     ----------
-    skills : the primitive actions of each. envs : how many environments.
+    skills : primitive actions of each skill.
+    envs : number of environments.
 
     Attributes
     ----------
-    chosen : the skill of each, (e,). over : where none is going on, (e,); everywhere at first.
-
+    chosen : the skill of each environment, (e,).
+    over : environments without a present skill, (e,); all of them at first.
     Examples
     --------
     >>> progress = SkillProgress([(1, 1), (2, 3, 3)], 2)
@@ -42,19 +43,19 @@ class SkillProgress:
         self.over: BoolArray = np.ones(envs, np.bool_)
 
     def choose(self, skills: IntArray) -> None:
-        """Begin these (e,) where the one before is over; the others go on."""
+        """Begin these skills (e,) in environments without one; the other skills continue."""
         self.chosen = np.where(self.over, skills, self.chosen)
         self._place[self.over] = 0
         self.over = np.zeros(len(self.over), np.bool_)
 
     @property
     def primitive(self) -> IntArray:
-        """The next action of each, (e,); the last one where the skill is over."""
+        """The next action of each environment, (e,); the last one of a skill that has ended."""
         actions: IntArray = self._actions[self.chosen, np.minimum(self._place, self._lengths[self.chosen] - 1)]
         return actions
 
     def advance(self) -> None:
-        """After a primitive step of each skill that is going on: those that are at their end are over."""
+        """Count a primitive step of each present skill, and end skills after their last action."""
         self._place += ~self.over
         self.over = self.over | (self._place >= self._lengths[self.chosen])
 

@@ -1,8 +1,8 @@
-"""Skills: named sequences of primitive actions, one of which a policy chooses at a time.
+"""Skills: named sequences of primitive actions, which a policy chooses in place of actions.
 
 A skill is an option with a fixed sequence and a predicate that ends it early (Sutton, Precup and Singh 1999). With k
-primitive steps carried out, rewards r_0 ... r_(k-1) and the discount g of a primitive step, the reward of a skill is
-r_0 + g r_1 + ... + g^(k-1) r_(k-1), and what follows is discounted by g^k.
+executed primitive steps, rewards r_0 ... r_(k-1) and the discount g of a primitive step, the reward of a skill is
+r_0 + g r_1 + ... + g^(k-1) r_(k-1), and later rewards are discounted by g^k.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ __all__ = [
 ]
 
 Interrupt = Callable[[gym.Env[Any, Any], Mapping[str, Any]], bool]
-"""Whether a skill ends now: asked with the environment and the info of the primitive step that has just ended."""
+"""Predicate that ends a skill, a function of the environment and the info of the last primitive step."""
 
 REPORT_SKILLS: Mapping[str, tuple[int, ...]] = MappingProxyType(
     {
@@ -49,8 +49,8 @@ REPORT_SKILLS: Mapping[str, tuple[int, ...]] = MappingProxyType(
         "KEEP_RIGHT": (0, 0, 1, 1),
     }
 )
-"""Skills as the published script of the report has them, actions of `DiscreteMetaAction`: OVERTAKE_LEFT begins with
-LANE_RIGHT, OVERTAKE_RIGHT and KEEP_RIGHT with LANE_LEFT."""
+"""Skills of the report's published script, with actions of `DiscreteMetaAction`: OVERTAKE_LEFT begins with LANE_RIGHT,
+OVERTAKE_RIGHT and KEEP_RIGHT with LANE_LEFT."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,19 +62,19 @@ class Skill:
 
 
 class Skills(gym.Wrapper[Any, Any, Any, Any]):
-    """The action is which skill to carry out, and a step is all of its primitive steps.
+    """The action is the index of a skill, and a step executes all of its primitive steps.
 
-    `info["skill"]` has `name`, `actions` (those carried out), `planned` (how many there are in the skill), `steps` (how
-    many were carried out), `interrupted` (whether the predicate ended it early), `rewards` of the primitive steps, and
-    `discount`, g^steps. The rest of `info` is that of the last primitive step; where there is an `info["shield"]`,
+    `info["skill"]` contains `name`, `actions` (the executed ones), `planned` (number of actions in the skill), `steps`
+    (number of executed ones), `interrupted` (whether the predicate ended it early), `rewards` of the primitive steps,
+    and `discount`, g^steps. The rest of `info` is that of the last primitive step. If it contains `info["shield"]`,
     `info["skill"]["overridden"]` is the number of primitive steps that the shield overrode.
 
     Parameters
     ----------
     env : an environment of highway-env with discrete actions; `ShieldedEnv(env)` for skills inside the shield.
-    skills : names and their sequences of primitive actions, as indices or, of meta-actions, as names.
-    interrupt : ends a skill after a primitive step, by `nearer_than(distance)`, `overridden`, or a function of one's
-        own; None for never.
+    skills : names and their sequences of primitive actions, as indices, or as names of meta-actions.
+    interrupt : predicate that ends a skill after a primitive step: `nearer_than(distance)`, `overridden`, or a function
+        of the user; None for never.
     discount : g, of a primitive step, above 0 and at most 1.
 
     Raises
@@ -113,11 +113,11 @@ class Skills(gym.Wrapper[Any, Any, Any, Any]):
 
     @property
     def names(self) -> list[str]:
-        """Of the skills, in the order of the actions."""
+        """Names of the skills, in the order of the actions."""
         return [skill.name for skill in self.skills]
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Carry out one skill.
+        """Execute one skill.
 
         Raises
         ------
@@ -140,8 +140,7 @@ class Skills(gym.Wrapper[Any, Any, Any, Any]):
         return obs, total, terminated, truncated, {**info, "skill": about}
 
     def action_masks(self) -> BoolArray:
-        """Which skills begin with an action that verifies now, for sb3-contrib's MaskablePPO, (skills,); all True where
-        none does.
+        """Mask of skills whose first action verifies, for sb3-contrib's MaskablePPO, (skills,); all True without any.
 
         Raises
         ------
@@ -157,7 +156,7 @@ class Skills(gym.Wrapper[Any, Any, Any, Any]):
 
 
 def checked_discount(discount: float) -> float:
-    """The discount of a primitive step.
+    """Check the discount of a primitive step, and return it.
 
     Raises
     ------
@@ -175,7 +174,9 @@ def parse_skills(skills: Mapping[str, Sequence[int | str]], count: int, labels: 
 
     Parameters
     ----------
-    skills : as of `Skills`. count : how many primitive actions there are. labels : the names of those that have one.
+    skills : as in `Skills`.
+    count : number of primitive actions.
+    labels : names of the actions that have one, by index.
 
     Raises
     ------
@@ -202,12 +203,12 @@ def parse_skills(skills: Mapping[str, Sequence[int | str]], count: int, labels: 
 
 
 def chosen_skill(skills: Sequence[Skill], action: Any) -> Skill:
-    """The skill of that index.
+    """The skill with that index.
 
     Raises
     ------
     ConfigError
-        If there is none.
+        If there is no such skill.
     """
     k = action_index(action)
     if not 0 <= k < len(skills):
@@ -219,12 +220,15 @@ def chosen_skill(skills: Sequence[Skill], action: Any) -> Skill:
 def skill_summary(
     skill: Skill, rewards: list[float], discount: float, interrupted: bool, overridden: int | None
 ) -> tuple[float, dict[str, Any]]:
-    """The semi-Markov reward of a skill and `info["skill"]`.
+    """The semi-Markov reward of a skill, and `info["skill"]`.
 
     Parameters
     ----------
-    rewards : of the primitive steps that were carried out. discount : of a primitive step.
-    interrupted : whether the predicate ended it. overridden : how many of the steps a shield overrode; None without.
+    skill : the skill.
+    rewards : rewards of the executed primitive steps.
+    discount : discount of a primitive step.
+    interrupted : whether the predicate ended the skill.
+    overridden : number of steps that a shield overrode; None without a shield.
     """
     steps = len(rewards)
     total = float(np.dot(discount ** np.arange(steps), rewards))
@@ -243,8 +247,10 @@ def skill_summary(
 
 
 def masks_of_skills(skills: Sequence[Skill], masks: BoolArray) -> BoolArray:
-    """Which skills begin with an action that verifies, (e, skills), of masks of actions, (e, actions); all True in a
-    row where none does."""
+    """Mask of skills whose first action verifies, (e, skills), from masks of actions, (e, actions).
+
+    A row without any such skill is all True.
+    """
     first = masks[:, [skill.actions[0] for skill in skills]]
     first[~first.any(axis=1)] = True
     return first
@@ -252,12 +258,12 @@ def masks_of_skills(skills: Sequence[Skill], masks: BoolArray) -> BoolArray:
 
 @dataclass(frozen=True, slots=True)
 class NearerThan:
-    """A predicate that reads the simulator's state; see `nearer_than`."""
+    """Predicate of distance that reads the simulator's state; see `nearer_than`."""
 
     distance: float
 
     def __call__(self, env: gym.Env[Any, Any], info: Mapping[str, Any]) -> bool:
-        """Whether anything is nearer now."""
+        """Whether a vehicle or object is nearer in the present state."""
         base: Any = env.unwrapped
         if isinstance(base, CompiledHighwayEnv):
             centres = base.frames[-1][:, :2]
@@ -266,13 +272,13 @@ class NearerThan:
         return self.of(np.array(others), base.vehicle.position) if others else False
 
     def of(self, others: FloatArray, ego: FloatArray) -> bool:
-        """The same of centres [m], (n, 2), and that of the ego, (2,)."""
+        """Whether one of the centres (n, 2) [m] is nearer to the ego's centre (2,)."""
         return bool((np.linalg.norm(others - ego, axis=1) < self.distance).any())
 
 
 def nearer_than(distance: float) -> NearerThan:
-    """A predicate: whether the centre of any vehicle or object is nearer to the ego's than a distance [m]. It reads the
-    simulator's state.
+    """Predicate: the centre of a vehicle or object is nearer to the ego's than a distance [m], by the simulator's
+    state.
 
     Raises
     ------
@@ -284,7 +290,7 @@ def nearer_than(distance: float) -> NearerThan:
 
 
 def overridden(env: gym.Env[Any, Any], info: Mapping[str, Any]) -> bool:
-    """A predicate: whether the shield has overridden the primitive step that has just ended.
+    """Predicate: the shield has overridden the last primitive step.
 
     Raises
     ------

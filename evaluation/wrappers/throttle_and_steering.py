@@ -1,8 +1,9 @@
 """Throttle and steering on roads whose rewards highway-env computes for meta-actions only.
 
-They are registered with Gymnasium too: `merge-continuous-v1`, `roundabout-continuous-v1`, `two-way-continuous-v0`,
-`u-turn-continuous-v1` and the others, with highway-env's configuration. Where highway-env sets no limit, an episode
-ends after 60 decisions: with meta-actions one gets to the end of the road, and with a wheel one need not.
+The environments are registered with Gymnasium too: `merge-continuous-v1`, `roundabout-continuous-v1`,
+`two-way-continuous-v0`, `u-turn-continuous-v1` and the others, with highway-env's configuration. If highway-env sets no
+limit, an episode ends after 60 decisions. With meta-actions the ego always reaches the end of the road, but with
+throttle and steering it may not.
 """
 
 from __future__ import annotations
@@ -33,21 +34,21 @@ _LIMIT = 60
 class ThrottleAndSteering(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """An environment with meta-actions, driven by throttle and steering (`ContinuousAction`) instead.
 
-    highway-env 1.12 raises where merge, roundabout, two-way or u-turn are configured so, already in `gym.make`: their
-    rewards and observations ask which meta-action was taken, or which target speed the vehicle has. Here the reward of
-    a lane change is not paid, for there is none to ask for; the target speed is the nearest one to the speed; and the
-    lane that the vehicle wants is the one that it is in. Everything else is highway-env's.
+    highway-env 1.12 raises an error for this configuration of merge, roundabout, two-way or u-turn, already in
+    `gym.make`. Their rewards and observations read the meta-action, or the vehicle's target speed. This wrapper
+    provides them: the meta-action is IDLE, without a reward for lane changes; the target speed is the nearest one to
+    the speed; and the target lane is the vehicle's lane. Everything else is highway-env's.
 
     Parameters
     ----------
     env : an environment of highway-env, with meta-actions.
     action : options of `ContinuousAction`, such as `acceleration_range`, `lateral` or `dynamical`; with
-        `actions_per_axis`, a number or two, those of `DiscreteAction`.
+        `actions_per_axis`, one or two numbers, those of `DiscreteAction`.
 
     Raises
     ------
     ConfigError
-        If it is none of highway-env's, or has throttle and steering already.
+        If it is no environment of highway-env, or has throttle and steering already.
 
     Examples
     --------
@@ -95,13 +96,13 @@ class ThrottleAndSteering(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs
         try:
             return rewards(_IDLE)
         except ZeroDivisionError:
-            # `TwoWayEnv` divides by the lanes beside the vehicle's, where it has turned back and there are none.
+            # `TwoWayEnv` divides by the number of lanes beside the vehicle's, which is 0 after a turn back.
             vehicle: Any = self.unwrapped.vehicle  # type: ignore[attr-defined]
             return {"high_speed_reward": vehicle.speed_index / (len(self._speeds) - 1), "left_lane_reward": 0.0}
 
     @contextmanager
     def _lent(self) -> Iterator[None]:
-        """While the vehicle tells what is asked of one with meta-actions."""
+        """Give the vehicle the attributes of one with meta-actions for the duration of the context."""
         vehicle, n = self.unwrapped.vehicle, len(self._speeds)  # type: ignore[attr-defined]
         if type(vehicle) not in (Vehicle, BicycleVehicle):
             yield
@@ -123,16 +124,18 @@ class ThrottleAndSteering(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs
 
 
 def make_continuous(road: str, config: Mapping[str, Any] | None = None, render_mode: str | None = None) -> Any:
-    """One of `ROADS` with throttle and steering.
+    """Make one of `ROADS` with throttle and steering.
 
     Parameters
     ----------
-    config : as highway-env's; the action, if there is one, a `ContinuousAction` or a `DiscreteAction`.
+    road : id of the environment.
+    config : highway-env's configuration; its action, if there is one, is a `ContinuousAction` or a `DiscreteAction`.
+    render_mode : as in highway-env.
 
     Raises
     ------
     ConfigError
-        If the action is another.
+        If the action is of another type.
     """
     own = dict(config or {})
     action = dict(own.pop("action", {}))

@@ -1,1 +1,1 @@
-"""Training the reference policies."""
+"""Learning: algorithms, recipes of the reference policies, fast environments, and saved models."""

@@ -1,6 +1,6 @@
-"""The algorithms of Stable-Baselines3 and sb3-contrib by name, and which of them a saved model was trained with.
+"""The algorithms of Stable-Baselines3 and sb3-contrib by name, and the algorithm of a saved model.
 
-Nothing here imports them before one is asked for.
+They are imported on use only.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ ALGORITHMS: Mapping[str, str] = MappingProxyType(
         "trpo": "sb3_contrib.TRPO",
     }
 )
-"""Where the class of each algorithm is, by lower-case name."""
+"""Dotted name of each algorithm's class, by lower-case name."""
 
 _POLICIES = {
     "stable_baselines3.dqn": "dqn",
@@ -52,16 +52,16 @@ _POLICIES = {
     "sb3_contrib.qrdqn": "qrdqn",
     "sb3_contrib.tqc": "tqc",
 }
-"""Which algorithm a policy class is of; those of `stable_baselines3.common` are told by their settings."""
+"""Algorithm of a policy class, by its module; classes of `stable_baselines3.common` are identified by settings."""
 
 _log = logging.getLogger(__name__)
 _NETWORK = ("policy_class", "policy_kwargs")
-"""Objects that the network is built from."""
+"""Objects that define the network."""
 _SPACES = ("observation_space", "action_space")
 _BUFFER: Mapping[str, Any] = MappingProxyType(
     {"replay_buffer_class": None, "replay_buffer_kwargs": {}, "buffer_size": 1, "optimize_memory_usage": False}
 )
-"""Settings under which an off-policy algorithm makes the smallest replay buffer, for any environment."""
+"""Settings for the smallest replay buffer of an off-policy algorithm, for any environment."""
 
 
 def algorithm_named(name: str) -> str:
@@ -78,7 +78,7 @@ def algorithm_named(name: str) -> str:
 
 
 def get_algorithm(name: str) -> type[BaseAlgorithm]:
-    """The class of that name, in any case.
+    """The class with that name, in any case.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def get_algorithm(name: str) -> type[BaseAlgorithm]:
 
 
 def algorithm_of(path: Path) -> str | None:
-    """The algorithm that a saved model was trained with, from what is written in it; None where that does not tell.
+    """The algorithm of a saved model, from the contents of its file; None if they do not identify it.
 
     Raises
     ------
@@ -121,25 +121,26 @@ def load_model(
     env: Any = None,
     custom_objects: Mapping[str, Any] | None = None,
 ) -> BaseAlgorithm:
-    """A saved model on the CPU, to predict with. To train it further, load it with SB3: `SAC.load(path, env=env)`.
+    """A saved model on the CPU, for predictions. To train it further, load it with SB3: `SAC.load(path, env=env)`.
 
-    What only training needs is left out: the replay buffer, and objects that cannot be unpickled here, such as a
-    learning rate schedule of another Python. Spaces that cannot be unpickled (models of the time of gym, SB3 1.x) are
-    those of `env`, and a warning says so.
+    Parts that only training needs are left out: the replay buffer, and objects that cannot be unpickled here, such as a
+    learning rate schedule of another Python. Spaces that cannot be unpickled (models of gym's time, SB3 1.x) are
+    replaced by those of `env`, with a warning.
 
     Parameters
     ----------
-    path : the zip file. algorithm : its name; by default the file says it.
-    env : the environment that the model is to act in; only its spaces are read.
-    custom_objects : objects by name that take the place of those in the file, as of SB3's `load`.
+    path : path of the zip file.
+    algorithm : name of its algorithm; by default from the file.
+    env : the environment of the model; only its spaces are read.
+    custom_objects : objects by name that replace those in the file, as in SB3's `load`.
 
     Raises
     ------
     ConfigError
-        If there is no such algorithm, or the file does not say which and none is given.
+        If there is no such algorithm, or the file does not contain it and none is given.
     PolicyError
-        If the file is no saved model, was trained with another algorithm or for other spaces, or if an object that
-        prediction needs cannot be unpickled. The message names the object and the way out.
+        If the file is no saved model, was trained with another algorithm or for other spaces, or an object that
+        prediction needs cannot be unpickled. The message names the object and the remedy.
     """
     path = Path(path)
     data = read_data(path)
@@ -157,7 +158,7 @@ def load_model(
     if lost := [name for name in _NETWORK if name in unreadable]:
         raise PolicyError(_unreadable(path, kind, data, lost[0], unreadable[lost[0]]))
     taken = {name: _space(path, name, data, env, unreadable[name]) for name in _SPACES if name in unreadable}
-    # What else cannot be read has no part in predictions: the algorithm's default.
+    # Other unreadable objects have no part in predictions and get the algorithm's default.
     parameters = inspect.signature(kind.__init__).parameters
     for name in unreadable.keys() - taken.keys():
         parameter = parameters.get(name)
@@ -191,7 +192,7 @@ def _space(path: Path, name: str, data: Mapping[str, Any], env: Any, error: Exce
 
 
 def _unreadable(path: Path, kind: type[BaseAlgorithm], data: Mapping[str, Any], name: str, error: Exception) -> str:
-    """What is said of an object that the network is built from, and the way out through Python."""
+    """Message about an unreadable object of the network, with the remedy in Python."""
     item = data.get(name)
     known = {key: value for key, value in item.items() if not key.startswith((":", "__"))} if item else {}
     listed = f" The file says that it holds {known}." if known and name == "policy_kwargs" else ""

@@ -14,20 +14,19 @@ __all__ = ["FastRoadVecEnv"]
 
 
 class FastRoadVecEnv(FastHighwayVecEnv):
-    """So many environments on one road network in one VecEnv: what `make_vec_env(env_id, num_envs)` makes, some hundred
-    times as fast.
+    """Batch of environments on one road network as a VecEnv, some hundred times as fast as `make_vec_env`.
 
-    Observations, rewards, ends of episodes and infos are those of `DummyVecEnv` around highway-env in `Monitor`s, bit
-    for bit (see `FastHighwayVecEnv`).
+    Observations, rewards, ends of episodes and infos are those of `DummyVecEnv` around highway-env in `Monitor`s, equal
+    to the last bit (see `FastHighwayVecEnv`).
 
     Parameters
     ----------
-    num_envs, env_id, config, threads : as of `dynamics.road_networks.episodes.simulator.RoadSimulator`.
+    num_envs, env_id, config, threads : as in `dynamics.road_networks.episodes.simulator.RoadSimulator`.
 
     Raises
     ------
     ConfigError
-        If the environment needs what the simulator cannot do; take highway-env itself then.
+        If the simulator does not support the environment; use highway-env itself then.
 
     Examples
     --------
@@ -53,5 +52,5 @@ class FastRoadVecEnv(FastHighwayVecEnv):
         return [info_of(self.simulator, i, self._actions[i]) for i in range(self.num_envs)]
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Refused: there are no environment objects behind it."""
+        """Raise `MissingAttributeError`, because there are no environment objects."""
         raise MissingAttributeError(f"a compiled environment has no method {method_name!r}; take highway-env itself")

@@ -20,24 +20,24 @@ from shield.errors import ConfigError, MissingAttributeError
 __all__ = ["FastHighwayVecEnv"]
 
 _DIGITS = 6
-"""`Monitor` rounds returns and times to so many."""
+"""Number of digits to which `Monitor` rounds returns and times."""
 
 
 class FastHighwayVecEnv(VecEnv):
-    """So many highways in one VecEnv: what `make_vec_env(env_id, num_envs)` makes, a thousand times as fast.
+    """Batch of highways as a VecEnv, a thousand times as fast as `make_vec_env(env_id, num_envs)`.
 
-    Observations, rewards, ends of episodes and infos are those of `DummyVecEnv` around highway-env in `Monitor`s, bit
-    for bit, so that a model learns the same: `terminal_observation`, `TimeLimit.truncated` and `episode` with their
-    last step, and highway-env's `speed`, `crashed`, `action` and `rewards`.
+    Observations, rewards, ends of episodes and infos are those of `DummyVecEnv` around highway-env in `Monitor`s, equal
+    to the last bit, so the trained model is the same. The infos contain `terminal_observation`, `TimeLimit.truncated`
+    and `episode` with the last step, and highway-env's `speed`, `crashed`, `action` and `rewards`.
 
     Parameters
     ----------
-    num_envs, env_id, config, threads : as of `dynamics.highway_simulator.simulator.Simulator`.
+    num_envs, env_id, config, threads : as in `dynamics.highway_simulator.simulator.Simulator`.
 
     Raises
     ------
     ConfigError
-        If the environment needs what the simulator cannot do; take highway-env itself then.
+        If the simulator does not support the environment; use highway-env itself then.
 
     Examples
     --------
@@ -64,15 +64,15 @@ class FastHighwayVecEnv(VecEnv):
         super().__init__(num_envs, scenario.observation_space, scenario.action_space)
 
     def _made(self, num_envs: int, env_id: str, config: Mapping[str, Any] | None, threads: int) -> Any:
-        """What simulates the environments."""
+        """The simulator of the environments."""
         return Simulator(env_id, num_envs, config, threads)
 
     def _begin(self, seeds: list[int] | None) -> Any:
-        """Start all episodes; the observations."""
+        """Start all episodes, and return the observations."""
         return self.simulator.reset(seeds)
 
     def _stepped(self, which: IntArray) -> Any:
-        """One step of these, in which those that are over are reset: observations, rewards, terminated, truncated."""
+        """Step these environments, with a reset after an end: observations, rewards, terminated, truncated."""
         return self.simulator.step(self._actions, again=True, which=which)
 
     def reset(self) -> Any:
@@ -88,25 +88,25 @@ class FastHighwayVecEnv(VecEnv):
         return observations.copy()
 
     def step_async(self, actions: Any) -> None:
-        """Take the actions of the next step."""
+        """Set the actions of the next step."""
         self._actions = np.asarray(actions)
 
     def step_wait(self) -> Any:
-        """Step all environments; those that are over are reset."""
+        """Step all environments; an environment is reset after the end of its episode."""
         return self._step_some(np.arange(self.num_envs))
 
     def step_some(self, actions: Any, which: Sequence[int] | IntArray) -> Any:
-        """Step some of the environments; those of them that are over are reset.
+        """Step some of the environments; an environment is reset after the end of its episode.
 
         Parameters
         ----------
-        actions : of all environments; those of the others are not looked at, but have to be valid.
-        which : their indices, in increasing order.
+        actions : actions of all environments; those of the others are ignored, but have to be valid.
+        which : indices of the environments, in increasing order.
 
         Returns
         -------
-        As of `step`, of all environments: of those that made no step the observation, the reward and the info of their
-        last one, and False for whether it is over.
+        As from `step`, for all environments. The others have the observation, the reward and the info of their last
+        step, and False for the end of the episode.
         """
         self._actions = np.asarray(actions)
         return self._step_some(np.asarray(which, np.int64))
@@ -123,7 +123,7 @@ class FastHighwayVecEnv(VecEnv):
         return observations.copy(), reward.astype(np.float32), done, infos
 
     def _infos(self, terminated: Any, done: Any, stepped: Any) -> list[dict[str, Any]]:
-        """Of each environment; `stepped` says which have made the last step."""
+        """Infos of each environment; `stepped` marks those that made the last step."""
         seen, infos = self.simulator.seen, self._told()
         elapsed = round(time.time() - self._start, _DIGITS)
         for info, over, crashed in zip(infos, done, terminated, strict=True):
@@ -149,7 +149,7 @@ class FastHighwayVecEnv(VecEnv):
         ]
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Nothing to close."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """`config`, `spec`, `render_mode`, `action_space`, `observation_space` of each environment."""
@@ -161,17 +161,17 @@ class FastHighwayVecEnv(VecEnv):
         return [getattr(self, attr_name) for _ in self._indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refused: the environments are made at once, from one configuration."""
+        """Raise `ConfigError`, because all environments share one configuration."""
         raise ConfigError(f"{attr_name!r} cannot be set on a compiled environment; make another one with config=")
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Refused: there are no environment objects behind it."""
+        """Raise `MissingAttributeError`, because there are no environment objects."""
         raise MissingAttributeError(
             f"a compiled highway has no method {method_name!r}; a live one: simulator.store(gym.make({self.env_id!r}))"
         )
 
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Any = None) -> list[bool]:
-        """Whether episodes are reported as by this wrapper; they are as by `Monitor`."""
+        """Whether infos have the form of this wrapper; they have that of `Monitor`."""
         return [issubclass(Monitor, wrapper_class) for _ in self._indices(indices)]
 
     def _indices(self, indices: Any) -> Iterable[int]:

@@ -1,4 +1,4 @@
-"""`LaneFeatures`: what a driver reads off Kinematics rows, who is ahead in each lane and how fast."""
+"""`LaneFeatures`: the vehicle ahead in each lane and its speed, from Kinematics rows."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ __all__ = ["LaneFeatures"]
 
 _FEATURES = 5
 _GAP, _SPEED = 8.0, 8.0
-"""Of the normalised range: a gap of 25 m decays to 1/e, a speed of 10 m/s is 1, with highway-env's ranges."""
+"""Scales of the normalised range: with highway-env's ranges a gap of 25 m decays to 1/e, and 10 m/s is 1."""
 
 
 class LaneFeatures(BaseFeaturesExtractor):
-    """The nearest vehicle ahead in each of some lanes about the ego's: nearness exp(-8 x), relative speed, presence.
+    """The nearest vehicle ahead in each of the lanes around the ego's: nearness exp(-8 x), relative speed, presence.
 
-    A network need not learn which row of the observation is in which lane. Rows are highway-env's default ones,
-    presence, x, y, vx, vy, normalised and relative to the ego, which is the first; a vehicle beside or behind has
-    x <= 0 and counts as very near.
+    With these features a network need not learn the lane of each row. Rows are highway-env's default ones: presence, x,
+    y, vx, vy, normalised and relative to the ego, which is the first. A vehicle beside or behind has x <= 0 and counts
+    as very near.
 
     Parameters
     ----------
-    observation_space : of Kinematics rows, (vehicles, 5).
-    reach : lanes to each side.
-    lane_width : of a lane in the units of y: highway-env's range of y is four metres for each lane, so that it is one
-        over their number.
+    observation_space : space of Kinematics rows, (vehicles, 5).
+    reach : number of lanes to each side.
+    lane_width : width of a lane in the units of y. highway-env's range of y is four metres for each lane, so it is one
+        over the number of lanes.
 
     Raises
     ------
     ConfigError
-        If observations are of another shape.
+        If the observations have another shape, or a number is out of range.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Where the manifest of a policy file lies."""
+"""Path of the manifest of a policy file."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ __all__ = ["manifest_path"]
 
 
 def manifest_path(policy: Path) -> Path:
-    """Where the manifest of a policy file lies: beside it, as `.json`."""
+    """Path of the manifest of a policy file: beside it, with the suffix `.json`."""
     return policy.with_suffix(".json")

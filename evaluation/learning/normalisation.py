@@ -1,4 +1,4 @@
-"""Running normalisation in training, folded into the policy afterwards: what is saved takes raw observations."""
+"""Running normalisation in training, folded into the policy afterwards, so that it takes raw observations."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from shield.errors import ConfigError
 __all__ = ["fold", "normalised"]
 
 _VARIANCE = 1e-3
-"""Added to every variance: an entry that hardly varies in training must not swamp the others once it does."""
+"""Added to every variance, so that an entry with little variation in training cannot dominate the others later."""
 
 
 def normalised(env: gym.Env[Any, Any] | VecEnv, what: Collection[str], gamma: float) -> VecNormalize:
@@ -26,9 +26,9 @@ def normalised(env: gym.Env[Any, Any] | VecEnv, what: Collection[str], gamma: fl
 
     Parameters
     ----------
-    env : a single environment.
+    env : a single environment, or a VecEnv.
     what : any of `evaluation.names.NORMALISABLE`.
-    gamma : the discount with which rewards are summed up, whose variance they are divided by.
+    gamma : discount of the returns, by whose standard deviation rewards are divided.
     """
     world = env if isinstance(env, VecEnv) else DummyVecEnv([cast(Any, lambda: env)])
     return VecNormalize(
@@ -42,13 +42,14 @@ def normalised(env: gym.Env[Any, Any] | VecEnv, what: Collection[str], gamma: fl
 
 
 def fold(model: BaseAlgorithm, statistics: VecNormalize | None = None) -> None:
-    """Put the normalisation of observations that a model was trained with into its first layers, in place.
+    """Fold the normalisation of observations from a model's training into its first layers, in place.
+
+    W (x - mean) / sigma + b = W' x + b' with W' = W / sigma and b' = b - W' mean.
 
     Parameters
     ----------
-    model : of PPO, A2C or MaskablePPO. statistics : with which; by default those of its environment.
-
-    W (x - mean) / sigma + b = W' x + b' with W' = W / sigma and b' = b - W' mean.
+    model : a model of PPO, A2C or MaskablePPO.
+    statistics : the statistics; by default those of its environment.
 
     Raises
     ------

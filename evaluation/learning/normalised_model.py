@@ -1,4 +1,4 @@
-"""Models that were trained in `VecNormalize`, with the statistics that stand in a file beside them."""
+"""Models that were trained in `VecNormalize`, with its statistics in a file beside them."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from shield.wrappers.ranking import ranking_of
 __all__ = ["NormalisedModel", "statistics_beside", "with_statistics"]
 
 _NAMES = ("{stem}_vecnormalize.pkl", "{stem}-vecnormalize.pkl", "vecnormalize.pkl", "vec_normalize.pkl")
-"""What the file is called in SB3's documentation and in the RL Zoo; those of the model's own name first."""
+"""Names of the file in SB3's documentation and in the RL Zoo; those with the model's own name first."""
 _CHECKPOINT = re.compile(r"^(?P<prefix>.+)_(?P<steps>\d+)_steps$")
-"""A model of SB3's `CheckpointCallback`, whose statistics are in PREFIX_vecnormalize_STEPS_steps.pkl."""
+"""Name of a model of SB3's `CheckpointCallback`, whose statistics are in PREFIX_vecnormalize_STEPS_steps.pkl."""
 
 
 class NormalisedModel:
-    """A model that is handed raw observations, and normalises them as it has learned to see them.
+    """A model for raw observations, which it normalises as in its training.
 
     Parameters
     ----------
-    model : what was trained.
-    statistics : of the observations, as `VecNormalize.save` wrote them; they are not updated.
+    model : the trained model.
+    statistics : statistics of the observations from `VecNormalize.save`; they are not updated.
 
     Raises
     ------
     PolicyError
-        If they are of observations of another shape.
+        If the statistics have another shape than the observations.
     """
 
     def __init__(self, model: BaseAlgorithm, statistics: VecNormalize) -> None:
@@ -54,12 +54,12 @@ class NormalisedModel:
         return self.model.predict(seen, state=state, episode_start=episode_start, deterministic=deterministic)
 
     def action_scores(self, observation: Any) -> Any:
-        """Its scores of discrete actions (n, actions), or None (see `shield.wrappers.ranking.ranking_of`)."""
+        """The model's scores of discrete actions (n, actions), or None (see `shield.wrappers.ranking.ranking_of`)."""
         return ranking_of(self.model, self.statistics.normalize_obs(observation))
 
 
 def statistics_beside(path: Path) -> Path | None:
-    """The file of `VecNormalize` statistics that belongs to a model's, if there is one in its folder."""
+    """The file of `VecNormalize` statistics of a model, if there is one in its folder."""
     names = [name.format(stem=path.stem) for name in _NAMES]
     if match := _CHECKPOINT.match(path.stem):
         names.insert(0, f"{match['prefix']}_vecnormalize_{match['steps']}_steps.pkl")
@@ -67,14 +67,14 @@ def statistics_beside(path: Path) -> Path | None:
 
 
 def with_statistics(model: BaseAlgorithm, path: Path) -> NormalisedModel:
-    """A model with statistics from a file. Like SB3's own files they can run code when they are read.
+    """A model with statistics from a file. Like SB3's own files, the file can run code when it is read.
 
     Raises
     ------
     ConfigError
         If there is no such file.
     PolicyError
-        If it is none that `VecNormalize.save` wrote, or is of other observations.
+        If it is no file of `VecNormalize.save`, or its statistics have another shape than the observations.
     """
     if not path.is_file():
         raise ConfigError(f"there is no file {path}; have one that VecNormalize.save(path) wrote")

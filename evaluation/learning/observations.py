@@ -1,7 +1,7 @@
-"""highway-env's default observations, computed at once instead of through data frames: for training on one core.
+"""highway-env's default observations, computed with numpy instead of data frames, for training on one core.
 
-They are equal to the originals (OccupancyGrid up to rounding), and cost a tenth of them: of a decision on the racetrack
-the original observation takes nine tenths of the time.
+They are equal to the originals (OccupancyGrid up to rounding), at a tenth of their time. The original observation takes
+nine tenths of a decision on the racetrack.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ __all__ = ["FastObservations"]
 _Observation = NDArray[np.float32]
 _GRID = ["presence", "on_road"]
 _REACH = 100.0
-"""highway-env draws each lane this far before and behind [m]."""
+"""Length of each lane ahead and behind that highway-env draws [m]."""
 
 
 class FastObservations(gym.Wrapper[Any, Any, Any, Any]):
-    """Replaces how an environment computes its observation, not what it observes.
+    """Replaces the computation of an environment's observation, with equal values.
 
     Parameters
     ----------
@@ -35,11 +35,11 @@ class FastObservations(gym.Wrapper[Any, Any, Any, Any]):
     Raises
     ------
     ConfigError
-        At the first reset, if its observation or its lanes are others.
+        At the first reset, if its observation or its lanes are of other types.
     """
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset the environment, whose observation type is a new object after it."""
+        """Reset the environment, and replace the computation of its new observation type."""
         obs, info = self.env.reset(seed=seed, options=options)
         base: Any = self.env.unwrapped
         kind = base.observation_type

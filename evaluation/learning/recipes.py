@@ -14,14 +14,17 @@ __all__ = ["RECIPES", "Recipe", "get_recipe"]
 
 @dataclass(frozen=True)
 class Recipe:
-    """All that `train` needs for one reference policy.
+    """Arguments of `train` for one reference policy.
 
     Attributes
     ----------
-    name : the name of the policy, and of its file. description : one line for people.
-    setting : a name in `evaluation.settings.SETTINGS`. algorithm : a name in `ALGORITHMS`.
-    steps : environment steps (decisions). seed : the training seed.
+    name : name of the policy and of its file.
+    setting : a name in `evaluation.settings.SETTINGS`.
+    algorithm : a name in `ALGORITHMS`.
+    steps : environment steps (decisions).
+    seed : training seed.
     hyperparameters : keyword arguments of the algorithm.
+    description : description in one line.
     normalise, exploration, fast, shield, sensor : as in `train`.
     """
 
@@ -39,9 +42,9 @@ class Recipe:
     sensor: str = "exact"
 
 
-# The hyperparameters that highway-env's own examples use, but for the discount factor of the DQNs.
-# Where a recipe's seed is not 0, the policy of seed 0 missed what the recipe is for (a PPO that crashes
-# now and then, an adversary that nearly always does) on traffic seeds 0 to 49.
+# Hyperparameters of highway-env's own examples, except the discount factor of the DQNs. A recipe has a seed other than
+# 0 if the policy of seed 0 missed the recipe's purpose on traffic seeds 0 to 49. The purpose is a PPO that crashes now
+# and then, or an adversary that crashes nearly always.
 _PPO_HIGHWAY: dict[str, Any] = {
     "policy_kwargs": {"net_arch": {"pi": [256, 256], "vf": [256, 256]}},
     "n_steps": 160,
@@ -62,8 +65,8 @@ _DQN_ABZ: dict[str, Any] = {
     "target_update_interval": 50,
 }
 
-# The wheel's range is 45 degrees either way, and 2 degrees carry a car at 25 m/s sideways by 9 m in two seconds: so the
-# wheel is explored in a narrow range and the throttle in a wide one, or one of the two is not learned.
+# Steering has a range of 45 degrees to each side, and at 25 m/s 2 degrees move a car sideways by 9 m in two seconds. So
+# steering is explored in a narrow range and the throttle in a wide one; otherwise one of the two is not learned.
 _PPO_CONTINUOUS: dict[str, Any] = {
     "policy_kwargs": {"net_arch": [64, 64]},
     "n_steps": 1024,
@@ -91,7 +94,7 @@ _PPO_ROADS: dict[str, Any] = {
     "gamma": 0.9,
 }
 
-# What Dong et al. 2023 train with; what they do not name is Stable-Baselines3's own.
+# Hyperparameters of Dong et al. 2023; those that the paper does not name are Stable-Baselines3's defaults.
 _DQN_COMPLEX: dict[str, Any] = {"learning_rate": 1e-4, "buffer_size": 50_000}
 _TRPO_COMPLEX: dict[str, Any] = {"gamma": 0.99, "n_steps": 1024, "target_kl": 0.01}
 
@@ -202,6 +205,6 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
 
 
 def get_recipe(name: str) -> Recipe:
-    """The recipe of that name; a `ConfigError` that lists the names if there is none."""
+    """The recipe with that name; raises a `ConfigError` with the valid names if there is none."""
     check_name("recipe", name, sorted(RECIPES))
     return RECIPES[name]

@@ -1,4 +1,4 @@
-"""What a model's file holds, read object by object: one that cannot be unpickled here is known by its name."""
+"""Objects in a model's file, read one by one; an object that cannot be unpickled here is reported by its name."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _SERIALIZED = ":serialized:"
 
 
 class SavedObjects(NamedTuple):
-    """The pickled objects of a file by name: those that were read, and what the others raised."""
+    """The pickled objects of a file by name: those that were read, and the exceptions of the others."""
 
     read: dict[str, Any]
     unreadable: dict[str, Exception]
 
 
 def read_data(path: Path) -> Mapping[str, Any]:
-    """The settings of a saved model as they stand in its file, pickled objects still encoded.
+    """The settings of a saved model in its file, with pickled objects still encoded.
 
     Raises
     ------
@@ -48,7 +48,8 @@ def read_objects(data: Mapping[str, Any], given: Mapping[str, Any]) -> SavedObje
 
     Parameters
     ----------
-    data : as `read_data` returns it. given : objects by name that take the place of those in the file.
+    data : result of `read_data`.
+    given : objects by name that replace those in the file.
     """
     read, unreadable = dict(given), dict[str, Exception]()
     for name, item in data.items():
@@ -58,7 +59,7 @@ def read_objects(data: Mapping[str, Any], given: Mapping[str, Any]) -> SavedObje
             read[name] = cloudpickle.loads(base64.b64decode(item[_SERIALIZED]))
         except Exception as error:
             unreadable[name] = error
-    # A dict that is not one: the pickle was read, and holds something else than was saved.
+    # The pickle may load but hold another type than was saved.
     if "policy_kwargs" in read and not isinstance(read["policy_kwargs"], dict):
         kind = type(read.pop("policy_kwargs")).__name__
         unreadable["policy_kwargs"] = TypeError(f"it holds a {kind} instead of a dict")
@@ -66,11 +67,12 @@ def read_objects(data: Mapping[str, Any], given: Mapping[str, Any]) -> SavedObje
 
 
 def misfits(saved: Any, space: Any) -> list[str]:
-    """In what a space differs from what the file says in plain text of one that cannot be unpickled.
+    """Differences of a space from the plain-text description of a space that cannot be unpickled.
 
     Parameters
     ----------
-    saved : the entry of the file. space : the environment's.
+    saved : the entry of the file.
+    space : the environment's space.
     """
     if not isinstance(saved, dict):
         return []

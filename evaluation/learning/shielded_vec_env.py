@@ -1,4 +1,4 @@
-"""`ShieldedVecEnv`: many compiled highways, each behind its shield, for Stable-Baselines3."""
+"""`ShieldedVecEnv`: batch of compiled highways, each with its shield, for Stable-Baselines3."""
 
 from __future__ import annotations
 
@@ -29,31 +29,33 @@ _NONE = REASONS.index(Reason.NONE)
 
 
 class ShieldedVecEnv(FastHighwayVecEnv):
-    """So many highways in one VecEnv, in which the shield has the last word: what `ShieldedEnv` around each of them
-    gives, bit for bit, some 340 times as fast (always FASTER, 64 of them on one core).
+    """Batch of shielded highways as a VecEnv.
+
+    Results are those of `ShieldedEnv` around each of them, equal to the last bit, some 340 times as fast (always
+    FASTER, 64 environments on one core).
 
     Parameters
     ----------
-    num_envs, env_id, config, threads : as of `FastHighwayVecEnv`.
-    shield : settings, or the path of a TOML file with them (see `ShieldedHighways`, and `ExactHighways` where the
-        traffic is simulated).
+    num_envs, env_id, config, threads : as in `FastHighwayVecEnv`.
+    shield : settings, or the path of a TOML file with them (see `ShieldedHighways`, and `ExactHighways` for simulated
+        traffic).
 
     Raises
     ------
     ConfigError
-        If the environment or the settings need what is not compiled.
+        If the environment or the settings are not supported by the compiled batch.
 
     Attributes
     ----------
     highways : the environments and their shields.
-    latency : the time of the last step by the number of environments that made it [s]. The traffic is in it, which is
-        not driven apart from the shield: it is no less than what `ShieldedEnv.latency` is of.
+    latency : time of the last step divided by the number of stepped environments [s]. It contains the simulation of the
+        traffic, which is not separable from the shield, so it is an upper bound of `ShieldedEnv.latency`.
 
     Notes
     -----
-    `infos[i]["shield"]`, and with an episode's last step `infos[i]["shield_episode"]`, are what `ShieldedEnv` reports,
-    key by key; `latency_ms` is the mean of `latency`. The order of alternatives is the documented one. sb3-contrib's
-    MaskablePPO asks for `action_masks` by itself, `ShieldCallback` for `latency`.
+    `infos[i]["shield"]`, and with an episode's last step `infos[i]["shield_episode"]`, have the keys and values of
+    `ShieldedEnv`; `latency_ms` is the mean of `latency`. The order of alternatives is the documented one. sb3-contrib's
+    MaskablePPO calls `action_masks`, and `ShieldCallback` reads `latency`.
 
     Examples
     --------
@@ -95,12 +97,14 @@ class ShieldedVecEnv(FastHighwayVecEnv):
         return stepped
 
     def action_masks(self) -> BoolArray:
-        """Which actions verify now in each environment, (num_envs, actions), as `ShieldedEnv.action_masks` has it; all
-        True where none does."""
+        """Mask of verified actions in each environment, (num_envs, actions), as in `ShieldedEnv.action_masks`.
+
+        A row without a verified action is all True.
+        """
         return self.highways.masks()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """As of `FastHighwayVecEnv`, and `action_masks` and `latency`."""
+        """As in `FastHighwayVecEnv`, with `action_masks` and `latency` in addition."""
         if attr_name == "action_masks":
             return [partial(self._mask_of, i) for i in self._indices(indices)]
         if attr_name == "latency":
@@ -108,7 +112,7 @@ class ShieldedVecEnv(FastHighwayVecEnv):
         return super().get_attr(attr_name, indices)
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """`action_masks` of each environment; there are no environment objects behind it."""
+        """`action_masks` of each environment; other methods do not exist."""
         if method_name != "action_masks":
             return super().env_method(method_name, *args, indices=indices, **kwargs)
         masks = self.action_masks(*args, **kwargs)
@@ -130,8 +134,10 @@ class ShieldedVecEnv(FastHighwayVecEnv):
         return infos
 
     def _reports(self) -> list[dict[str, Any]]:
-        """Of each environment what `shield.wrappers.report.report` has of one, as `Decision.with_frames` makes a
-        record: the decision and its frames side by side, (e, 1 + F)."""
+        """Reports of all environments, as from `shield.wrappers.report.report`.
+
+        Decision and frames are columns of the arrays, (e, 1 + F), and are combined as in `Decision.with_frames`.
+        """
         records, each = self.highways.records, np.arange(self.num_envs)
         tiers = np.column_stack([records.tier, records.tiers])
         reasons = np.column_stack([records.reason, records.reasons])
@@ -143,7 +149,7 @@ class ShieldedVecEnv(FastHighwayVecEnv):
         tiers[unchanged, 0], reasons[unchanged, 0] = _PASSED, _NONE
         fallbacks = held & FALLBACKS[tiers]
         shown = np.where(fallbacks.any(axis=1), fallbacks.argmax(axis=1), held.argmax(axis=1))
-        # Frames that are not supervised are off.
+        # Unsupervised frames have the tier OFF.
         frames = certified(records.tiers, records.reasons, records.margins) | (records.tiers == _OFF)
         full = certified(records.tier, records.reason, records.margin) & frames.all(axis=1)
         done = np.where(other, _OTHER_ACTION, np.where(held[:, 1:].any(axis=1), _HELD_BACK, _AS_PROPOSED))

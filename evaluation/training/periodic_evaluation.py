@@ -1,4 +1,4 @@
-"""Evaluation of a policy while it learns, and the best model so far."""
+"""Evaluation of a policy during training, and the best model so far."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from shield import ShieldConfig
 __all__ = ["FIRST_SEED", "PeriodicEvaluation", "better", "drive"]
 
 FIRST_SEED = FIRST_EVALUATION_SEED // 2
-"""Seed of the first episode of each evaluation: the same episodes each time, none of those that are reported on."""
+"""Seed of the first episode of each evaluation; the seeds are always the same, and apart from those of reports."""
 _COMPILED, _LIVE = 50, 4
-"""Environments side by side."""
+"""Number of environments in a batch, compiled or not."""
 
 
 def better(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Whether one evaluation is better than another: fewer crashes; of as many, the greater score.
+    """Whether one evaluation is better than another: fewer crashes, or as many and a greater score.
 
     Parameters
     ----------
-    one, other : with `crashes`, and `score`, the mean return less the override penalty of the training.
+    one, other : evaluations with `crashes`, and `score`, the mean return less the override penalty of the training.
 
     Examples
     --------
@@ -43,23 +43,24 @@ def better(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
 
 
 class PeriodicEvaluation(BaseCallback):
-    """Drives the same episodes every so many steps, without exploration, and keeps the best model.
+    """Drives the same episodes at regular steps of training, without exploration, and keeps the best model.
 
-    Beside `NAME.zip` it writes `NAME-evaluations.csv`, a row for each evaluation, `NAME-best.zip`, the best model by
-    `better`, and with videos `NAME-videos/STEPS.gif`, the last seconds of the first episode. Training learns the same
-    with it as without: episodes are driven in environments of their own and nothing is drawn.
+    Beside `NAME.zip` it writes `NAME-evaluations.csv`, a row for each evaluation, and `NAME-best.zip`, the best model
+    by `better`. With videos it writes `NAME-videos/STEPS.gif`, the last seconds of the first episode. The trained model
+    is the same with and without evaluation, because episodes have environments of their own and no random numbers are
+    drawn.
 
     Attributes
     ----------
-    rows : of each evaluation `steps`, `episodes`, `crashes`, `crash_rate`, `return` (mean), `score`, `overrides` (share
-        of the decisions), `speed` [m/s] and `length` (mean decisions).
+    rows : for each evaluation `steps`, `episodes`, `crashes`, `crash_rate`, `return` (mean), `score`, `overrides`
+        (share of the decisions), `speed` [m/s] and `length` (mean number of decisions).
     """
 
     def __init__(self, options: TrainingOptions) -> None:
         super().__init__()
         self._options = options
         self.rows: list[dict[str, Any]] = []
-        # Returns are those of the environment: a penalty is part of the score alone.
+        # Returns are those of the environment; the penalty is part of the score only.
         bare = options.over(override_penalty=0.0)
         made = make_world(bare, 1)
         envs = min(options.evaluation_episodes, _COMPILED if made.driven_in == "compiled" else _LIVE)
@@ -70,12 +71,12 @@ class PeriodicEvaluation(BaseCallback):
 
     @classmethod
     def of(cls, options: TrainingOptions) -> PeriodicEvaluation | None:
-        """That of a training; None where none is asked for."""
+        """The evaluation of a training; None if the options set none."""
         return cls(options) if options.evaluate_every else None
 
     @property
     def best(self) -> dict[str, Any]:
-        """The best evaluation, and the model's file; empty without one."""
+        """The best evaluation, and the model's file; empty without evaluations."""
         found: dict[str, Any] = {}
         for row in self.rows:
             if not found or better(row, found):
@@ -99,7 +100,7 @@ class PeriodicEvaluation(BaseCallback):
         return True
 
     def evaluate(self) -> dict[str, Any]:
-        """Drive the episodes with the present policy, and write down what happened."""
+        """Drive the episodes with the present policy, and record the results."""
         before = self.best
         driven = drive(self.model, self._env, self._options.evaluation_episodes)
         row = {"steps": self.model.num_timesteps, **_summary(driven, self._options.override_penalty)}
@@ -120,7 +121,7 @@ class PeriodicEvaluation(BaseCallback):
         return path.with_name(f"{path.stem}-{name}")
 
     def _save(self, path: Path) -> None:
-        """The present model, which takes observations as the environment gives them."""
+        """Save the present model in a form that takes raw observations."""
         statistics = self.model.get_vec_normalize_env()
         if statistics is None or not statistics.norm_obs:
             self.model.save(path)
@@ -147,13 +148,14 @@ class PeriodicEvaluation(BaseCallback):
 
 
 def drive(model: BaseAlgorithm, env: VecEnv, episodes: int, first: int = FIRST_SEED) -> pd.DataFrame:
-    """Episodes of consecutive seeds, with the model's most likely actions.
+    """Drive episodes of consecutive seeds, with the model's most likely actions.
 
     Parameters
     ----------
-    model : the policy; observations are normalised as it has learned to see them, and MaskablePPO asks for masks.
-    env : environments side by side, as the model was trained in, without normalisation.
-    episodes : how many. first : the seed of the first.
+    model : the policy; observations are normalised as in its training, and MaskablePPO gets masks.
+    env : a batch of environments as in the model's training, without normalisation.
+    episodes : number of episodes.
+    first : seed of the first episode.
 
     Returns
     -------
@@ -188,7 +190,7 @@ def drive(model: BaseAlgorithm, env: VecEnv, episodes: int, first: int = FIRST_S
 
 
 def _summary(driven: pd.DataFrame, penalty: float) -> dict[str, Any]:
-    """What `PeriodicEvaluation.rows` has of some episodes, but `steps`."""
+    """A row of `PeriodicEvaluation.rows` without `steps`."""
     steps = float(driven["steps"].sum())
     returned, overrides = float(driven["return"].mean()), float(driven["overridden"].mean())
     return {

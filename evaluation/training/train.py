@@ -1,4 +1,4 @@
-"""Training of a policy with Stable-Baselines3, reproducible, with a manifest beside it that says how."""
+"""Reproducible training of a policy with Stable-Baselines3, with a manifest beside the model."""
 
 from __future__ import annotations
 
@@ -54,11 +54,12 @@ _ACTION_SPACES: dict[str, tuple[type[gym.Space[Any]], ...]] = {
 
 @dataclass(frozen=True)
 class TrainedPolicy:
-    """Where a trained policy lies and how it was made.
+    """A trained policy and its manifest.
 
     Attributes
     ----------
-    path : the zip file, to be loaded with the algorithm's own `load`. manifest : what the JSON file beside it holds.
+    path : path of the zip file, to be loaded with the algorithm's own `load`.
+    manifest : contents of the JSON file beside it.
     """
 
     path: Path
@@ -79,9 +80,9 @@ def train(
 
     Parameters
     ----------
-    setting, algorithm, steps, seed, output : as of `TrainingOptions`.
+    setting, algorithm, steps, seed, output : as in `TrainingOptions`.
     progress : whether to show a progress bar.
-    options : the other fields of `TrainingOptions`; `envs` is 1 where it is not given.
+    options : the other fields of `TrainingOptions`; `envs` is 1 by default.
 
     Returns
     -------
@@ -115,10 +116,15 @@ def train_recipe(
     Parameters
     ----------
     name : a name in `evaluation.learning.recipes.RECIPES`.
-    output : the zip file to write instead.
+    output : path of another zip file.
     steps : training steps instead of the recipe's.
-    simulator, sensor : as of `TrainingOptions`; a sensor only where the recipe has none itself.
+    simulator, sensor : as in `TrainingOptions`; a sensor only if the recipe has none.
     progress : whether to show a progress bar.
+
+    Raises
+    ------
+    ConfigError
+        If the name is unknown, or both the recipe and the call have a sensor.
     """
     recipe = get_recipe(name)
     if sensor != "exact" and recipe.sensor != "exact":
@@ -146,12 +152,13 @@ def train_recipe(
 
 
 def train_with(options: TrainingOptions, *, progress: bool = True, command: str | None = None) -> TrainedPolicy:
-    """Train a policy as `options` say.
+    """Train a policy with the given options.
 
     Parameters
     ----------
-    options : how. progress : whether to show a progress bar.
-    command : the shell command that repeats this; by default one that calls `train`.
+    options : the options.
+    progress : whether to show a progress bar.
+    command : shell command that repeats this; by default a call of `train`.
 
     Returns
     -------
@@ -160,8 +167,8 @@ def train_with(options: TrainingOptions, *, progress: bool = True, command: str 
     Raises
     ------
     ConfigError
-        If the algorithm cannot learn in this environment, takes no such hyperparameters, a package is missing, or
-        the checkpoints to go on from are of other options.
+        If the algorithm cannot learn in this environment or has no such hyperparameters, a package is missing, or
+        the checkpoints belong to other options.
     """
     if options.tensorboard is not None and find_spec("tensorboard") is None:
         raise ConfigError(
@@ -198,7 +205,7 @@ def train_with(options: TrainingOptions, *, progress: bool = True, command: str 
 
 @dataclass(frozen=True)
 class _Callbacks:
-    """What watches a training, and what of it the options ask for."""
+    """Callbacks of a training."""
 
     counts: CountSteps
     evaluation: PeriodicEvaluation | None
@@ -206,7 +213,7 @@ class _Callbacks:
 
     @classmethod
     def of(cls, options: TrainingOptions) -> _Callbacks:
-        """Those that the options ask for; checkpoints of another training are refused."""
+        """The callbacks for the options; raises `ConfigError` for checkpoints of another training."""
         checkpoints = Checkpoints.of(options)
         counts, evaluation = CountSteps(), PeriodicEvaluation.of(options)
         if checkpoints is not None:
@@ -214,13 +221,13 @@ class _Callbacks:
         return cls(counts, evaluation, checkpoints)
 
     def listed(self, options: TrainingOptions) -> CallbackList:
-        """In order: what is saved in a checkpoint comes before it."""
+        """The callbacks in order; the checkpoint comes after the callbacks whose state it saves."""
         executed = LearnFromExecuted() if options.learn_from == "executed" else None
         written = None if self.checkpoints is None else self.checkpoints.callback
         return CallbackList([each for each in (self.counts, executed, self.evaluation, written) if each is not None])
 
     def told(self) -> dict[str, Any]:
-        """As the manifest has it."""
+        """Entries of the manifest."""
         return {
             "in_training": dict(self.counts.counts),
             **({} if self.evaluation is None else {"best": self.evaluation.best}),
@@ -229,7 +236,7 @@ class _Callbacks:
 
 
 def _learned(options: TrainingOptions, world: World, callbacks: _Callbacks, progress: bool) -> BaseAlgorithm:
-    """The model at the end of its training."""
+    """Train and return the final model."""
     model = _model(options, world, callbacks.checkpoints)
     done = model.num_timesteps
     left = max(options.steps - done, 0)
@@ -248,7 +255,7 @@ def _learned(options: TrainingOptions, world: World, callbacks: _Callbacks, prog
 
 
 def _tell_rollouts(model: BaseAlgorithm, steps: int) -> None:
-    """Warn where more steps are driven than asked for: algorithms on policy finish the rollout that they have begun."""
+    """Warn if more steps are driven than requested, because on-policy algorithms finish a rollout."""
     if not isinstance(model, OnPolicyAlgorithm):
         return
     rollout = model.n_steps * model.n_envs
@@ -270,14 +277,14 @@ def _check_actions(options: TrainingOptions, actions: gym.Space[Any]) -> None:
 
 
 def _model(options: TrainingOptions, world: World, checkpoints: Checkpoints | None) -> BaseAlgorithm:
-    """A new model, or the one of the last checkpoint."""
+    """A new model, or that of the last checkpoint."""
     parameters = with_classes(options.hyperparameters)
     env: Any = world.env
     if options.normalise:
         env = normalised(env, options.normalise, parameters.get("gamma", 0.99))
     if checkpoints is not None and checkpoints.last is not None:
         return checkpoints.load(env if isinstance(env, VecEnv) else DummyVecEnv([lambda: env]))
-    # A copy: Stable-Baselines3 writes its own entries into `policy_kwargs`.
+    # Copied, because Stable-Baselines3 writes its own entries into `policy_kwargs`.
     arguments = {"policy": "MlpPolicy", **deepcopy(parameters)}
     if options.tensorboard is not None:
         arguments["tensorboard_log"] = str(options.tensorboard)

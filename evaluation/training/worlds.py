@@ -1,4 +1,4 @@
-"""The environments to train in: compiled where it serves, inside a shield, seen through a sensor."""
+"""Training environments: compiled where supported, inside a shield, with a sensor."""
 
 from __future__ import annotations
 
@@ -24,18 +24,19 @@ __all__ = ["World", "make_world"]
 
 
 class World(NamedTuple):
-    """Environments, and what simulates them, as of `SIMULATORS`."""
+    """Environments, and the name of their simulator, as in `SIMULATORS`."""
 
     env: gym.Env[Any, Any] | VecEnv
     driven_in: str
 
 
 def make_world(options: TrainingOptions, envs: int | None = None) -> World:
-    """The environments of a training.
+    """Make the environments of a training.
 
     Parameters
     ----------
-    options : how it is trained. envs : how many, if not as many as there.
+    options : options of the training.
+    envs : number of environments; that of the options by default.
 
     Returns
     -------
@@ -70,7 +71,7 @@ def _make(options: TrainingOptions, envs: int) -> World:
 def _compiled(
     setting: Setting, made: Callable[[], gym.Env[Any, Any]], sensor: str, envs: int
 ) -> tuple[gym.Env[Any, Any] | VecEnv, bool]:
-    """Compiled environments without a shield, and whether these are exact."""
+    """Compiled environments without a shield, and whether they are exact."""
     from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 
     def alone() -> gym.Env[Any, Any]:
@@ -95,7 +96,7 @@ def _compiled(
 def _several(
     make: Callable[[], gym.Env[Any, Any]], envs: int, first: gym.Env[Any, Any] | None = None
 ) -> gym.Env[Any, Any] | VecEnv:
-    """One environment, or several side by side, `first` among them if it is given."""
+    """One environment, or a batch of several, with `first` among them if it is given."""
     ready = [] if first is None else [first]
 
     def one() -> gym.Env[Any, Any]:
@@ -105,7 +106,7 @@ def _several(
 
 
 def _shielded(setting: Setting, settings: ShieldConfig, sensor: str, envs: int) -> tuple[VecEnv, bool]:
-    """Compiled highways inside their shields, and whether these are exact."""
+    """Compiled highways inside their shields, and whether they are exact."""
     from evaluation.learning.shielded_vec_env import ShieldedVecEnv
 
     if sensor != "exact":
@@ -115,7 +116,7 @@ def _shielded(setting: Setting, settings: ShieldConfig, sensor: str, envs: int) 
 
 
 def _whole_episodes(setting: Setting, envs: int) -> tuple[VecEnv, bool] | None:
-    """Environments on a road network compiled altogether, and whether these are exact; None where only their frames are
+    """Environments on a road network with compiled episodes, and whether they are exact; None if only frames can be
     compiled."""
     from evaluation.learning.fast_road_vec_env import FastRoadVecEnv
 

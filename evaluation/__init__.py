@@ -1,6 +1,7 @@
-"""Everything that measures: settings, training, episodes, statistics and the command line.
+"""Evaluation: settings, training, episodes, statistics and the command line.
 
-Nothing but Gymnasium is imported before it is used; the environments of `evaluation.scenarios` are registered with it.
+Modules are imported on use only, except Gymnasium, with which the environments of `evaluation.scenarios` are
+registered.
 """
 
 from __future__ import annotations

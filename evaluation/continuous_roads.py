@@ -1,4 +1,4 @@
-"""Roads that highway-env makes with meta-actions alone, and what they are called with throttle and steering."""
+"""Roads that highway-env makes with meta-actions only, and their ids with throttle and steering."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ ROADS = (
     *(f"{road}-v{k}" for road in ("merge", "merge-generic", "roundabout", "roundabout-generic") for k in (0, 1)),
     *("two-way-v0", "u-turn-v0", "u-turn-v1"),
 )
-"""What highway-env does not make with `ContinuousAction`."""
+"""Environments that highway-env cannot make with `ContinuousAction`."""
 
 _LAST = dict(road.rsplit("-", 1) for road in ROADS)
-"""The last version of each."""
+"""Last version of each road."""
 
 
 def continuous_id(road: str) -> str:
@@ -24,12 +24,16 @@ def continuous_id(road: str) -> str:
 
 
 def what_makes(env_id: str, config: Mapping[str, Any]) -> str:
-    """What makes an environment that highway-env itself does not, in words; "" where it is none of `ROADS`, or has
-    other actions.
+    """Message about an environment that highway-env itself cannot make, with the remedy.
 
     Parameters
     ----------
-    env_id : its Gymnasium id. config : what differs from its default configuration.
+    env_id : its Gymnasium id.
+    config : changes to its default configuration.
+
+    Returns
+    -------
+    The message; "" if the id is not in `ROADS`, or the actions are of another type.
     """
     road, action = env_id.rpartition(":")[2], config.get("action")
     kind = action.get("type") if isinstance(action, Mapping) else None

@@ -1,4 +1,4 @@
-"""The table of the named settings, and the configurations that several of them share."""
+"""The table of the named settings, and shared configurations."""
 
 from __future__ import annotations
 
@@ -17,16 +17,15 @@ _ABZ_ROAD: dict[str, Any] = {
 }
 _ABZ_BASE = {**_ABZ_ROAD, "high_speed_reward": 1.0, "collision_reward": -1.0}
 
-# Two things about this reward:
-# - `lane_change_reward` belongs to the case study's configuration and is kept for the record, but
-#   highway-env 1.12 reads it nowhere in `HighwayEnv._rewards`: on this road it does nothing.
-# - A crash adds +1 and ends the episode. Without normalisation every second of driving on would be
-#   worth up to +2.1, and a crash would cost that whole future: on balance it would not be rewarded.
-#   highway-env's normalisation maps [collision_reward, high_speed_reward + right_lane_reward]
-#   = [1, 2.1] to [0, 1], so a second on the left lane is worth (2 v / 40 - 1) / 1.1: nothing at
-#   v = 20 m/s, a loss below, little at the speed of the traffic. A crash adds 1 / 1.1 and ends the
-#   losses. So `normalize_reward` stays True here. With a discount of 0.9 a crash still pays best only
-#   below about 22 m/s; above it the agent speeds through the traffic without minding a crash.
+# Two notes on this reward:
+# - `lane_change_reward` belongs to the case study's configuration and is kept for the record. highway-env 1.12 does not
+#   read it in `HighwayEnv._rewards`, so it has no effect on this road.
+# - A crash adds +1 and ends the episode. Without normalisation every further second would be worth up to +2.1, and a
+#   crash would cost that whole future, so it would not be rewarded on balance. highway-env's normalisation maps
+#   [collision_reward, high_speed_reward + right_lane_reward] = [1, 2.1] to [0, 1]. So a second on the left lane is
+# worth (2 v / 40 - 1) / 1.1: nothing at v = 20 m/s, a loss below, little at the speed of the traffic. A crash adds 1 /
+# 1.1 and ends the losses. So `normalize_reward` stays True here. With a discount of 0.9 a crash pays best only below
+# about 22 m/s. Above that speed the agent drives fast through the traffic, without regard to a crash.
 _ABZ_ADVERSARIAL = {
     **_ABZ_ROAD,
     "high_speed_reward": 2.0,
@@ -35,9 +34,9 @@ _ABZ_ADVERSARIAL = {
     "normalize_reward": True,
 }
 
-# Everything else is highway-v0's default, its reward too, which suits a wheel and a throttle: the speed that it pays
-# for is the one along the road, a crash costs 1 / 1.5 of what a decision can bring, and off the road nothing is paid.
-# `offroad_terminal` is not: without it a car that has left the road goes on unpunished by anything but zeros.
+# Everything else is highway-v0's default, with its reward, which suits throttle and steering. It pays for the speed
+# along the road, a crash costs 1 / 1.5 of the largest reward of a decision, and off the road the reward is 0. Only
+# `offroad_terminal` differs: without it a car that has left the road continues with rewards of 0.
 _CONTINUOUS: dict[str, Any] = {
     "action": {"type": "ContinuousAction"},
     "simulation_frequency": 20,
@@ -46,9 +45,9 @@ _CONTINUOUS: dict[str, Any] = {
     "offroad_terminal": True,
 }
 
-# Decisions last twice as long and there are fewer vehicles: a second of driving costs a tenth of what it costs above.
-# The reward is another one: normalised, standing still brings 0.67 of 1 in every decision, and PPO learned to stop
-# within 40,000 steps. Here it brings nothing, and 10 m/s is where speed begins to pay.
+# Decisions last twice as long and there are fewer vehicles, so a second of driving takes a tenth of the computing time.
+# The reward differs: with normalisation a vehicle at rest receives 0.67 of 1 in every decision, and PPO learned to stop
+# within 40,000 steps. Here it receives 0, and speed pays from 10 m/s on.
 _CONTINUOUS_TRAINING: dict[str, Any] = {
     **_CONTINUOUS,
     "simulation_frequency": 10,
@@ -58,7 +57,7 @@ _CONTINUOUS_TRAINING: dict[str, Any] = {
     "reward_speed_range": [10, 30],
 }
 
-# What HanoiWorld (2026) measures on, as it says: decisions at 5 Hz, frames at 15 Hz.
+# The configuration that HanoiWorld (2026) reports: decisions at 5 Hz, frames at 15 Hz.
 _HANOI: dict[str, Any] = {"simulation_frequency": 15, "policy_frequency": 5, "collision_reward": -5}
 
 SETTINGS: Mapping[str, Setting] = MappingProxyType(

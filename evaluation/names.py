@@ -1,4 +1,4 @@
-"""Names and numbers that the command line shows before anything that is slow to import is needed."""
+"""Names and numbers for the command line, in a module that imports quickly."""
 
 from __future__ import annotations
 
@@ -33,32 +33,33 @@ __all__ = [
 ]
 
 FIRST_EVALUATION_SEED = 10_000
-"""Seeds below it are for training and choosing, from it on for evaluation."""
+"""First seed of evaluations; lower seeds are for training and selection."""
 TRAINABLE = ("a2c", "dqn", "maskableppo", "ppo", "sac", "td3", "trpo")
-"""The algorithms that `shield train` knows."""
+"""Algorithms that `shield train` supports."""
 NORMALISABLE = ("observations", "rewards")
-"""What training can normalise by running means and variances."""
+"""Quantities that training can normalise by running means and variances."""
 ENGINES = ("processes", "ray")
-"""What episodes are spread by: processes of this machine, or tasks of a Ray cluster."""
+"""Engines that run episodes in parallel: processes of this machine, or tasks of a Ray cluster."""
 SIMULATORS = ("auto", "compiled", "highway-env")
-"""What episodes are driven in: highway-env's own code, its compiled copy, or that one where it serves."""
+"""Simulators of episodes: highway-env's own code, its compiled copy, or the copy where supported (`auto`)."""
 SENSOR_NAMES = (
     *("exact", "metric-0.5", "metric-2", "metric-2-late", "normalised-0.2", "normalised-0.5"),
     *("heavy-0.5", "biased-0.5", "worsening-0.5", "ghosts", "range-60"),
 )
-"""The sensors in `evaluation.wrappers.SENSORS`."""
+"""Names of the sensors in `evaluation.wrappers.SENSORS`."""
 _ANY_NOISE = re.compile(r"(metric|normalised)-\d+(\.\d+)?")
 CHANNEL_NAMES = ("confidence", "tracked-confidence", "intent")
-"""What can be added to what they show, `evaluation.wrappers.channels.CHANNELS`."""
+"""Names of the channels in `evaluation.wrappers.channels.CHANNELS`, which add to a sensor's observations."""
 TABLE_ENDINGS = (".csv", ".parquet")
-"""File endings that `evaluation.report.table.write_table` knows."""
+"""File endings that `evaluation.report.table.write_table` supports."""
 ANY = "any"
-"""The policy that may propose anything: its actions are searched too. Drawn evenly, they are those of `random`."""
+"""Name for a search over all actions in place of a policy. Uniformly drawn actions are those of `random`."""
 TRAFFIC = ("idm", "bold", "wild", "mixed")
-"""Drivers of the other vehicles: highway-env's own, or drivers as reckless as the rules permit
-(`evaluation.falsification.compliant_traffic`). On road networks: `evaluation.falsification.network_adversaries`."""
+"""Drivers of the other vehicles: highway-env's own (`idm`), worst-case compliant ones (`bold`), unconstrained ones
+(`wild`), or both kinds (`mixed`). See `evaluation.falsification.compliant_traffic` for straight highways, and
+`evaluation.falsification.network_adversaries` for road networks."""
 MODELS = ("bicycle", "learned")
-"""What the predictive filter can plan with; a folder of models is the third."""
+"""Dynamics models of the predictive filter; a folder of models is also valid."""
 BASELINES = (
     "faster",
     "idle",
@@ -78,31 +79,38 @@ BASELINES = (
     "cem-mppi",
     "cem-cautious",
 )
-"""Policies that need no training: `faster` and `slower` for meta-actions, `throttle` (full throttle, the wheel
-straight) for continuous actions, `idle` and `random` for both; `left` and `right` change lanes
-wherever they can, `weaving` to and fro; `lookahead` knows
-the future (`mpc.lookahead_policy`, on the simulator's true state), and `lookahead-shielded` that behind the shield
-(`shield.batch.lookahead`); `mpc` drives with continuous actions by itself
-(`mpc.MPCPolicy`, on the simulator's true state); the others park (`evaluation.running.parking_planner`), and `cem`
-drives on a highway and in a roundabout with meta-actions as well."""
+"""Policies that need no training.
+
+- `faster` and `slower` for meta-actions; `throttle` (full throttle, straight steering) for continuous actions; `idle`
+  and `random` for both. `left` and `right` change lanes whenever possible, `weaving` to both sides.
+- `lookahead` predicts the future from the simulator's true state (`mpc.lookahead_policy`); `lookahead-shielded` does so
+  with the shield (`shield.batch.lookahead`).
+- `mpc` drives with continuous actions, from the simulator's true state (`mpc.MPCPolicy`).
+- The others are for parking (`evaluation.running.parking_planner`); `cem` also drives with meta-actions on a highway
+and
+  in a roundabout.
+"""
 
 
 def list_references() -> list[str]:
-    """The names of the reference policies."""
+    """Names of the reference policies."""
     return sorted(path.stem for path in Path(__file__).with_name("policies").glob("*.zip"))
 
 
 def check_name(what: str, name: str, valid: Iterable[str], more: str = "") -> None:
-    """Raise where a name is none of the valid ones.
+    """Check that a name is one of the valid ones.
 
     Parameters
     ----------
-    what : what it names, for the message. more : what else would be valid, in words.
+    what : kind of the name, for the message.
+    name : the name.
+    valid : the valid names.
+    more : other valid values, in words.
 
     Raises
     ------
     ConfigError
-        That lists them, and says which is the nearest.
+        With the valid names, and the nearest one.
     """
     names = list(valid)
     if name not in names:
@@ -110,7 +118,7 @@ def check_name(what: str, name: str, valid: Iterable[str], more: str = "") -> No
 
 
 def check_penalty(penalty: float) -> float:
-    """What an overridden step costs in training, where it is a number that can be taken from a reward.
+    """Check an override penalty, and return it.
 
     Raises
     ------
@@ -123,16 +131,17 @@ def check_penalty(penalty: float) -> float:
 
 
 def check_sensor(name: str) -> None:
-    """Raise where no sensor has the name, or nothing that is added to what it shows.
+    """Check the name of a sensor with channels.
 
     Parameters
     ----------
-    name : of `SENSOR_NAMES`, or metric-S or normalised-S of any number S; and of `CHANNEL_NAMES`, with a + before each.
+    name : a name in `SENSOR_NAMES`, or metric-S or normalised-S with any number S, followed by names in
+        `CHANNEL_NAMES` with a + before each.
 
     Raises
     ------
     ConfigError
-        That lists those that there are.
+        With the valid names.
     """
     sensor, *channels = name.split("+")
     for each in channels:
@@ -142,16 +151,16 @@ def check_sensor(name: str) -> None:
 
 
 def check_policy(name: str) -> None:
-    """Raise where no policy has the name.
+    """Check the name of a policy.
 
     Parameters
     ----------
-    name : of `BASELINES`, of a reference policy, or the path of a zip file.
+    name : a name in `BASELINES`, of a reference policy, or the path of a zip file.
 
     Raises
     ------
     ConfigError
-        That lists the names, or says that there is no such file.
+        With the valid names, or if the file does not exist.
     """
     known = [*BASELINES, *list_references()]
     if name in known:
@@ -166,7 +175,7 @@ def check_policy(name: str) -> None:
 
 
 def policy_label(name: str) -> str:
-    """The name that results are reported under: of a zip file, its stem."""
+    """Name of a policy in reports; for a zip file its stem."""
     return Path(name).stem if name.endswith(".zip") else name
 
 

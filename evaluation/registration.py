@@ -1,4 +1,4 @@
-"""Registers the environments of `evaluation.scenarios` with Gymnasium."""
+"""Registration of the environments of `evaluation.scenarios` with Gymnasium."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ __all__ = ["register_environments"]
 
 
 def register_environments() -> None:
-    """Register `ComplexRoads-v0`, and `lane-keeping-half-minute-v0`: highway-env's lane keeping, which has no end, for
-    300 decisions. What is registered already is left as it is."""
+    """Register `ComplexRoads-v0` and `lane-keeping-half-minute-v0`, unless they are registered already.
+
+    The latter is highway-env's lane keeping, which has no end, with a limit of 300 decisions.
+    """
     if "ComplexRoads-v0" not in registry:
         register(id="ComplexRoads-v0", entry_point="evaluation.scenarios.complex_roads:ComplexRoadsEnv")
     if "lane-keeping-half-minute-v0" not in registry:

@@ -1,6 +1,6 @@
-"""One environment and the configuration to make it with.
+"""An environment and its configuration.
 
-Nothing slow is imported before an environment is made: a mistake in a name is told at once.
+Slow imports happen only when an environment is made, so wrong names are reported at once.
 """
 
 from __future__ import annotations
@@ -28,23 +28,22 @@ TRAFFIC: Mapping[str, str] = MappingProxyType(
         "trucks": "dynamics.traffic.mixed.WithTrucks",
     }
 )
-"""Short names of highway-env's driver models, and of IDM with every third vehicle a truck, and the classes they stand
-for."""
+"""Classes of vehicles by short names: highway-env's driver models, and IDM with every third vehicle a truck."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """An environment and the configuration to make it with.
+    """An environment and its configuration.
 
     Attributes
     ----------
-    name : the name it is reported under.
-    env_id : a Gymnasium id; "module:id" imports a module first, which registers it.
-    config : what differs from the configuration that the environment is registered with, and from its class's
-        default; in highway-env's units (speeds in m/s, frequencies in Hz, durations in s). Read-only.
-    description : one line for people.
-    road : whether it is a road or a parking lot that shields can read by their own settings, so that none and full are
-        compared on it unless others are asked for; on networks with throttle and steering they stop with an error.
+    name : name in reports.
+    env_id : a Gymnasium id; "module:id" first imports a module that registers it.
+    config : changes to the registered configuration and the class's default, in highway-env's units (speeds in m/s,
+        frequencies in Hz, durations in s). Read-only.
+    description : description in one line.
+    road : whether the shield's default settings support the road or parking lot. If so, comparisons have the modes none
+        and full by default. On road networks with throttle and steering they stop with an error.
     """
 
     name: str
@@ -54,17 +53,17 @@ class Setting:
     road: bool = True
 
     def __post_init__(self) -> None:
-        # A deep copy behind a read-only view: no two settings share a nested dictionary.
+        # A deep copy with a read-only view, so that no two settings share a nested dictionary.
         object.__setattr__(self, "config", MappingProxyType(deepcopy(dict(self.config))))
 
     def make(self, render_mode: str | None = None) -> gym.Env[Any, Any]:
-        """A fresh environment; `render_mode` "rgb_array" or "human" if it is to be drawn.
+        """Make a new environment; with `render_mode` "rgb_array" or "human" for pictures.
 
         Raises
         ------
         ConfigError
-            If there is no such environment, it is none of highway-env's nor made as these are, or it takes no such
-            configuration; where that is for its throttle and steering, with what makes it.
+            If there is no such environment, it has no road and vehicles of highway-env, or it does not support the
+            configuration. For throttle and steering the message contains the remedy.
         """
         import gymnasium as gym
 
@@ -89,8 +88,8 @@ class Setting:
 
     @property
     def configured(self) -> dict[str, Any]:
-        """What the environment is made with: `config` over the configuration that the id is registered with, key by
-        key; whole values, as highway-env itself replaces them.
+        """The full configuration: `config` replaces keys of the registered configuration, by whole values as in
+        highway-env.
 
         Raises
         ------
@@ -108,9 +107,9 @@ class Setting:
         return {**registered, **deepcopy(dict(self.config))}
 
     def override(self, config: Mapping[str, Any], name: str | None = None) -> Setting:
-        """The same setting with these keys replaced (whole values: highway-env does not merge).
+        """A copy of the setting with these keys replaced, by whole values, because highway-env does not merge.
 
-        The name is kept unless another is given; give one where results are written down.
+        The name is kept by default; give another one if results are stored.
         """
         return replace(self, config={**self.config, **config}, name=name or self.name)
 
@@ -121,13 +120,18 @@ class Setting:
         vehicles: int | None = None,
         density: float | None = None,
     ) -> Setting:
-        """The same road among other traffic.
+        """A copy of the setting with other traffic, and a name that contains the changes.
 
         Parameters
         ----------
         kind : a name in `TRAFFIC`, or the dotted path of a vehicle class.
-        vehicles : how many other vehicles.
+        vehicles : number of other vehicles.
         density : highway-env's `vehicles_density`, a factor (the default traffic is 1).
+
+        Raises
+        ------
+        ConfigError
+            If the name is unknown, or a number is out of range.
         """
         config: dict[str, Any] = {}
         label = []
@@ -149,18 +153,18 @@ class Setting:
         return self.override(config, name="+".join([self.name, *label]))
 
     def with_action_grid(self, grid: str) -> Setting:
-        """The same environment, driven by a grid of throttle and steering.
+        """A copy of the setting with a grid of throttle and steering as actions.
 
         Parameters
         ----------
-        grid : "NxM", how many values of throttle and of steering there are, from full brakes to full throttle and from
-            left to right in even steps. Options of the environment's `ContinuousAction` are kept; an axis that was
-            switched off is switched on.
+        grid : "NxM", the number of values of throttle and of steering, from full braking to full throttle and from left
+            to right in even steps. Options of the environment's `ContinuousAction` are kept; a disabled axis is
+            enabled.
 
         Raises
         ------
         ConfigError
-            If it is no such text, or a number is below 2 or above 99.
+            If the text has another form, or a number is below 2 or above 99.
 
         Examples
         --------

@@ -1,6 +1,6 @@
-"""Named environment settings, so that a result can say in one word where it was measured.
+"""Named environment settings, so that one word identifies the conditions of a result.
 
-A setting is an environment id and the configuration that differs from highway-env's default:
+A setting is an environment id and changes to highway-env's default configuration:
 
 >>> setting = get_setting("abz-idm")
 >>> setting.env_id, setting.config["simulation_frequency"]
@@ -13,10 +13,10 @@ The `abz` family is the highway of the ABZ 2025 case study: three lanes, target 
 `abz-aggressive` for testing (15 Hz). The two tests and `abz` share one reward, so that returns
 can be compared across them.
 
-`racetrack`, the two of `parking` and all that end in `-continuous` are driven with throttle and steering, or
-steering alone. Parking has a goal, and its results say how often it was reached.
+`racetrack`, both `parking` settings and all that end in `-continuous` have throttle and steering, or steering alone.
+Parking has a goal, and its results contain the success rate.
 
-Nothing slow is imported before an environment is made: a mistake in a name is told at once.
+Slow imports happen only when an environment is made, so wrong names are reported at once.
 """
 
 from __future__ import annotations
@@ -33,15 +33,18 @@ __all__ = ["SETTINGS", "TRAFFIC", "Setting", "get_setting", "setting_of"]
 
 
 def setting_of(env_id: str, config: Path | None = None) -> Setting:
-    """Any environment as a setting: its Gymnasium id ("module:id" imports a module first), and a TOML file of what
-    differs from the configuration that it is registered with.
+    """Any environment as a setting.
 
-    An id that ends in a grid of actions, such as "highway-v0+5x9", has these (`Setting.with_action_grid`).
+    Parameters
+    ----------
+    env_id : Gymnasium id; "module:id" imports a module first. An id that ends in a grid of actions, such as
+        "highway-v0+5x9", has that grid (`Setting.with_action_grid`).
+    config : a TOML file with changes to the registered configuration.
 
     Raises
     ------
     ConfigError
-        If there is no such file, it is no TOML, or the grid is none.
+        If there is no such file, it is no TOML, or the grid has another form.
     """
     env_id, _, grid = env_id.partition("+")
     found = _setting_of(env_id, config)
@@ -61,9 +64,9 @@ def _setting_of(env_id: str, config: Path | None) -> Setting:
 
 
 def get_setting(name: str) -> Setting:
-    """The setting of that name; a `ConfigError` that lists the names if there is none.
+    """The setting with that name; raises a `ConfigError` with the valid names if there is none.
 
-    A name that ends in a grid of actions, such as "highway-fast+5x9", has these (`Setting.with_action_grid`).
+    A name that ends in a grid of actions, such as "highway-fast+5x9", has that grid (`Setting.with_action_grid`).
     """
     name, _, grid = name.partition("+")
     check_name("setting", name, sorted(SETTINGS))

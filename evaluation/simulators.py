@@ -1,4 +1,4 @@
-"""The choice between highway-env and its compiled copy, for whoever drives or trains in one of the two."""
+"""Choice between highway-env and its compiled copy, for driving and training."""
 
 from __future__ import annotations
 
@@ -17,19 +17,20 @@ T = TypeVar("T")
 
 
 def compiled_where_it_serves(simulator: str, make: Callable[[], tuple[T, bool]]) -> T | None:
-    """What `make` makes of the compiled copy; None where highway-env itself is to be taken.
+    """The compiled object of `make`; None if highway-env itself is to be used.
 
     Parameters
     ----------
     simulator : one of `SIMULATORS`.
-    make : makes it, and says whether it is exact here; it raises where the copy cannot do what is asked for.
+    make : returns the compiled object, and whether it is exact on this machine; it raises an error if the copy does not
+        support the task.
 
     Raises
     ------
     ConfigError
-        If there is no such simulator, or the compiled one is asked for and cannot do it.
+        If the simulator is unknown, or "compiled" is required and not supported.
     PlatformError
-        If it is asked for, and cannot be had on this machine.
+        If "compiled" is required, and not possible on this machine.
     """
     check_name("simulator", simulator, SIMULATORS)
     if simulator == "highway-env":
@@ -44,14 +45,14 @@ def compiled_where_it_serves(simulator: str, make: Callable[[], tuple[T, bool]])
 
 
 def with_compiled_frames(env: gym.Env[Any, Any]) -> CompiledFrames:
-    """An environment on a network of roads, reset, with its frames compiled.
+    """An environment on a road network, reset, with compiled frames.
 
     Raises
     ------
     ConfigError
-        If its traffic or its actions are not known.
+        If its traffic or its actions are not supported.
     PlatformError
-        If numpy's own loops cannot be had here.
+        If numpy's own loops are not accessible on this machine.
     """
     compiled = CompiledFrames(env)
     try:

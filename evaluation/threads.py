@@ -1,4 +1,4 @@
-"""Torch threads: networks are small here, and more threads only get in each other's way."""
+"""Torch threads: networks are small here, so more than one thread slows the work down."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["one_thread"]
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """One torch thread inside, the former number outside."""
+    """Context with one torch thread; the former number is restored at its end."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

@@ -19,16 +19,17 @@ def evaluate(policy: Any, env: Any = "highway-fast", **options: Any) -> Result:
 
     Parameters
     ----------
-    policy, env : as of `Experiment`. options : its other attributes.
+    policy, env : as in `Experiment`.
+    options : other attributes of `Experiment`.
 
     Returns
     -------
-    The episodes, with tables and pictures of them.
+    The episodes, with their tables and pictures.
 
     Raises
     ------
     ConfigError, PolicyError
-        As of `Experiment` and its `run`.
+        For a reason of `Experiment` or its `run`.
 
     Examples
     --------
@@ -44,7 +45,7 @@ def compare(*results: Result | pd.DataFrame) -> pd.DataFrame:
 
     Parameters
     ----------
-    results : of `evaluate`, or tables of episodes.
+    results : results of `evaluate`, or tables of episodes.
 
     Returns
     -------
@@ -53,7 +54,7 @@ def compare(*results: Result | pd.DataFrame) -> pd.DataFrame:
     Raises
     ------
     ConfigError
-        If there is none, or an episode is in two of them.
+        If there is no result, or an episode is in two of them.
     """
     if not results:
         raise ConfigError("nothing to compare: no results")

@@ -1,4 +1,4 @@
-"""An experiment: policies in environments, behind variants of the shield, all on the same seeds."""
+"""An experiment: policies in environments, with variants of the shield, all on the same seeds."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ __all__ = ["Experiment", "Stopped"]
 
 
 class Stopped(KeyboardInterrupt):
-    """An experiment that was interrupted; `result` has the episodes so far."""
+    """Signals an interrupted experiment; `result` has the episodes so far."""
 
     def __init__(self, result: Result) -> None:
         super().__init__(f"stopped after {len(result.episodes)} episodes")
@@ -38,29 +38,31 @@ class Stopped(KeyboardInterrupt):
 
 @dataclass(frozen=True)
 class Experiment:
-    """What is driven: one field for each option of `shield evaluate`, and one key each in a TOML file.
+    """Specification of an experiment, with one field for each option of `shield evaluate` and each key of a TOML file.
 
     Attributes
     ----------
-    policy : what proposes actions: names, paths of SB3 zip files, SB3 models, functions of the observation or objects
-        with `predict`; one, several, or several by the names that they are reported under.
+    policy : policies: names, paths of SB3 zip files, SB3 models, functions of the observation or objects with
+        `predict`. One, a sequence, or a mapping from names in reports.
     env : environments: names of settings, Gymnasium ids, `Setting` objects, or environments made by `gym.make`.
     shield : modes of the shield; None for none and full.
-    door : where it stands, one or more of "env", "policy", "actions". perception : what it reads scenes from. sensor :
-        through which the policy sees.
-    episodes : of each row. seed : of the first episode.
-    config : settings of the shield: an object, "simulated", "worst-case" or the path of a TOML file; None for those
-        that the shield takes by itself in each environment.
-    algorithm, model, simulator : as of `evaluation.running.episodes.run_episode`.
+    door : one or more of "env", "policy", "actions", see `evaluation.running.records.DOORS`.
+    perception : source of the shield's scenes.
+    sensor : sensor of the policy.
+    episodes : episodes of each row.
+    seed : seed of the first episode.
+    config : settings of the shield: an object, "simulated", "worst-case" or the path of a TOML file; None for the
+        shield's default in each environment.
+    algorithm, model, simulator : as in `evaluation.running.episodes.run_episode`.
     jobs : processes; -1 for one per core.
-    output : where the episodes go as they finish, .parquet or .csv; None keeps them in memory. resume : whether to go
-        on with what is there.
-    steps : a .parquet file for a row of each decision (see `evaluation.running.step_table.steps_of`); decisions are
-        kept with the episodes until the run ends.
-    engine : "processes", or "ray" for the tasks of a Ray cluster. address : of the cluster, "auto" without for the one
-        that this machine belongs to; "local" starts one here.
+    output : path of the episodes, .parquet or .csv, stored as they finish; None keeps them in memory.
+    resume : whether to continue the run in `output`.
     shard : (i, n) to drive every n-th episode only, from the i-th on, 1 to n, on one of n machines; see `merge`.
-    buffer : buffers along the road [m], a row for each in place of the one of `config`.
+    buffer : buffers along the road [m], one row for each, in place of the one of `config`.
+    steps : path of a .parquet file with one row for each decision (see `evaluation.running.step_table.steps_of`);
+        decisions are stored with the episodes until the run ends.
+    engine : "processes", or "ray" for the tasks of a Ray cluster.
+    address : address of the cluster; "auto", the default, for the one of this machine, "local" to start one here.
 
     Raises
     ------
@@ -117,16 +119,16 @@ class Experiment:
                 raise ConfigError(f"shard must be (i, n) with 1 <= i <= n, not ({number}, {count})")
             if count > self.episodes:
                 raise ConfigError(f"{self.episodes} episodes make no {count} shards")
-        self.policies  # noqa: B018  (raises on two of one name)
+        self.policies  # noqa: B018  (raises an error for two policies of one name)
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Experiment:
-        """The experiment that a TOML file describes, a key for each attribute.
+        """Read an experiment from a TOML file, with a key for each attribute.
 
         Raises
         ------
         ConfigError
-            If there is no such file, it is no TOML, or has another key.
+            If there is no such file, it is no TOML, or it has another key.
         """
         keys = read_toml(path)
         valid = [field.name for field in fields(cls)]
@@ -138,7 +140,7 @@ class Experiment:
 
     @property
     def policies(self) -> Mapping[str, Any]:
-        """The policies by the names that they are reported under."""
+        """The policies by their names in reports; raises `ConfigError` if two have the same name."""
         if isinstance(self.policy, Mapping):
             return dict(self.policy)
         named: dict[str, Any] = {}
@@ -167,16 +169,20 @@ class Experiment:
 
     @property
     def seeds(self) -> range:
-        """Seeds of the episodes of each row; with a shard, those of it."""
+        """Seeds of the episodes of each row; with a shard, only its seeds."""
         whole = range(self.seed, self.seed + self.episodes)
         return whole if self.shard is None else whole[self.shard[0] - 1 :: self.shard[1]]
 
     def run(self, progress: bool = True) -> Result:
-        """Drive what has not been driven yet.
+        """Drive the episodes that are not stored yet.
 
         Parameters
         ----------
-        progress : whether to show how far it is.
+        progress : whether to show the progress.
+
+        Returns
+        -------
+        All episodes, with their manifest.
 
         Raises
         ------
@@ -215,7 +221,7 @@ class Experiment:
         return result
 
     def with_options(self, **options: Any) -> Experiment:
-        """The same with other values of some attributes.
+        """A copy with other values of some attributes.
 
         Raises
         ------
@@ -253,7 +259,7 @@ class Experiment:
         )
 
     def _store(self, asked: Comparison, functions: Mapping[str, Any]) -> Store:
-        """Where the episodes go, with what determines them."""
+        """The store of the episodes, with the values that determine them."""
         what = {**asked.asked(), "seed": self.seed, "episodes": self.episodes}
         if self.shard is not None:
             what["shard"] = list(self.shard)
@@ -272,7 +278,7 @@ class Experiment:
         return Store(output, what, self.resume, before, asked.models)
 
     def _drive(self, setting: Setting, variants: tuple[Variant, ...], name: str, policy: Any) -> pd.DataFrame:
-        """The episodes of a policy that is an object."""
+        """Drive the episodes of a policy that is an object."""
         parts = []
         for sensor in _several(self.sensor):
             seen = setting if sensor == "exact" else setting.override({}, name=f"{setting.name}, {sensor}")

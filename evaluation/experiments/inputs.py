@@ -1,4 +1,4 @@
-"""Policies and environments that a user hands in, as what an experiment drives: names, files and settings."""
+"""Conversion of the user's policies and environments to names, files and settings."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from shield.errors import ConfigError
 __all__ = ["as_file", "name_of", "origin_of", "setting_given"]
 
 _KEPT = ("OrderEnforcing", "PassiveEnvChecker", "TimeLimit")
-"""Wrappers that `gym.make` puts around an environment again."""
+"""Wrappers that `gym.make` adds again."""
 
 
 def name_of(policy: Any) -> str:
-    """What a policy is reported under unless it is given a name."""
+    """Default name of a policy in reports."""
     if isinstance(policy, str | Path):
         return Path(policy).stem if str(policy).endswith(".zip") else str(policy)
     return str(getattr(policy, "__name__", type(policy).__name__)).strip("<>")
@@ -32,8 +32,11 @@ def origin_of(policy: Any) -> str:
 
 
 def as_file(name: str, policy: Any, folder: Path) -> Any:
-    """A policy by name or file, which is copied where it has another name; an SB3 model is saved, with its statistics,
-    so that every process has the same."""
+    """A policy by name or file, for all processes.
+
+    A zip file with another name is copied. An SB3 model is saved, with its statistics. Other objects are returned
+    unchanged.
+    """
     if isinstance(policy, str | Path):
         return str(policy) if name_of(policy) == name else _copied(name, str(policy), folder)
     if not (hasattr(policy, "save") and hasattr(policy, "get_vec_normalize_env")):
@@ -47,7 +50,7 @@ def as_file(name: str, policy: Any, folder: Path) -> Any:
 
 
 def _copied(name: str, policy: str, folder: Path) -> str:
-    """A zip file and its statistics under another name."""
+    """Copy a zip file and its statistics to another name."""
     if not policy.endswith(".zip"):
         raise ConfigError(f"the policy {policy!r} is reported as {policy!r}, and under no other name such as {name!r}")
     path = folder / f"{name}.zip"
@@ -59,7 +62,13 @@ def _copied(name: str, policy: str, folder: Path) -> str:
 
 
 def setting_given(env: Any) -> Setting:
-    """A setting by name, an environment by its id, or one that has been made."""
+    """The setting of a name, an id, or an environment that has been made.
+
+    Raises
+    ------
+    ConfigError
+        If the environment is unknown, was not made by `gym.make`, or has wrappers that would be lost.
+    """
     if isinstance(env, Setting):
         return env
     if isinstance(env, str):

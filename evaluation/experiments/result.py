@@ -1,4 +1,4 @@
-"""The episodes of an experiment, and the tables and pictures that are made of them."""
+"""The episodes of an experiment, with their tables and pictures."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class Result:
 
     Attributes
     ----------
-    episodes : one row an episode, with the columns of `evaluation.running.records.EpisodeRecord`.
-    made : what made them: what was asked for, command, versions, commit and machine.
+    episodes : one row for each episode, with the columns of `evaluation.running.records.EpisodeRecord`.
+    made : manifest: specification, command, versions, commit and machine.
     """
 
     episodes: pd.DataFrame
@@ -42,8 +42,10 @@ class Result:
 
     @cached_property
     def comparison(self) -> pd.DataFrame:
-        """Each shielded row against the unshielded one, paired by seed (see `evaluation.measuring.metrics.compare`);
-        empty without an unshielded one."""
+        """Each shielded row against the unshielded one, paired by seed (see `evaluation.measuring.metrics.compare`).
+
+        It is empty without unshielded episodes.
+        """
         return compare(self.episodes)
 
     def table(self, of: str = "summary") -> pd.DataFrame:
@@ -56,7 +58,7 @@ class Result:
         Raises
         ------
         ConfigError
-            If it is none of these.
+            If `of` has another value.
         """
         if of not in _FORMS:
             raise ConfigError(f"unknown table {of!r}; valid are {', '.join(_FORMS)}")
@@ -64,11 +66,11 @@ class Result:
         return found
 
     def to_markdown(self, of: str = "summary") -> str:
-        """A table in Markdown, with intervals; `of` as of `table`."""
+        """A table in Markdown, with intervals; `of` as in `table`."""
         return markdown(self.table(of), _FORMS[of])
 
     def to_latex(self, of: str = "summary") -> str:
-        """A table in LaTeX, with the rules of the package booktabs; `of` as of `table`."""
+        """A table in LaTeX, for the package booktabs; `of` as in `table`."""
         return latex(self.table(of), _FORMS[of])
 
     def plot(self, path: str | Path) -> Path:
@@ -76,7 +78,7 @@ class Result:
         return plot_episodes(self.episodes, path)
 
     def write(self, path: str | Path) -> Path:
-        """Write the episodes to a .parquet or .csv file, with what made them; `Result.read` reads them back."""
+        """Write the episodes to a .parquet or .csv file, with their manifest; `Result.read` reads them back."""
         frame = self.episodes.copy()
         frame.attrs["made"] = dict(self.made)
         return write_table(frame, path)
@@ -105,12 +107,12 @@ class Result:
 
 
 def merge(parts: Iterable[Result]) -> Result:
-    """The whole of an experiment from its shards (see `Experiment.shard`).
+    """Merge the shards of an experiment (see `Experiment.shard`).
 
     Raises
     ------
     ConfigError
-        If they are not all shards of one experiment, one of them is missing or there twice, or an episode is missing.
+        If they are not all shards of one experiment, a shard is missing or duplicated, or an episode is missing.
     """
     parts = list(parts)
     if not parts:

@@ -34,29 +34,28 @@ from shield.filters.discrete_action import action_labels
 __all__ = ["InterruptMany", "SkillsVecEnv"]
 
 InterruptMany = Callable[[FastHighwayVecEnv, IntArray, Sequence[Mapping[str, Any]]], Any]
-"""Which skills end now, (k,) booleans: asked with the compiled environments, the indices (k,) of those that are within
-a skill, and the infos of their last primitive steps."""
+"""Predicate that ends skills, (k,) booleans: a function of the compiled environments, the indices (k,) of environments
+within a skill, and the infos of their last primitive steps."""
 
 
 class SkillsVecEnv(VecEnvWrapper):
-    """The action of each compiled environment is which skill to carry out: what `Skills` around each of them gives, bit
-    for bit.
+    """Batch of compiled environments whose actions are skills, equal to `Skills` around each of them to the last bit.
 
-    A step lasts until the skill of each environment is over; an environment whose skill is over earlier waits for the
-    others, and its traffic waits with it. `infos[i]["skill"]` is as of `Skills`. `infos[i]["episode"]` counts primitive
-    steps, as `Skills(Monitor(env))` does.
+    A step lasts until the skill of each environment has ended. An environment whose skill ends earlier waits for the
+    others, with its traffic. `infos[i]["skill"]` is as in `Skills`. `infos[i]["episode"]` counts primitive steps, as
+    with `Skills(Monitor(env))`.
 
     Parameters
     ----------
     venv : a `FastHighwayVecEnv`, `FastRoadVecEnv` or, for skills inside the shield, `ShieldedVecEnv`.
-    skills, discount : as of `Skills`.
-    interrupt : ends skills after a primitive step, by `nearer_than(distance)`, `overridden`, or an `InterruptMany` of
-        one's own; None for never.
+    skills, discount : as in `Skills`.
+    interrupt : predicate that ends skills after a primitive step: `nearer_than(distance)`, `overridden`, or an
+        `InterruptMany` of the user; None for never.
 
     Raises
     ------
     ConfigError
-        If `venv` is not compiled, its actions are not discrete, or as of `Skills`.
+        If `venv` is not compiled, its actions are not discrete, or for a reason of `Skills`.
 
     Examples
     --------
@@ -98,7 +97,7 @@ class SkillsVecEnv(VecEnvWrapper):
 
     @property
     def names(self) -> list[str]:
-        """Of the skills, in the order of the actions."""
+        """Names of the skills, in the order of the actions."""
         return [skill.name for skill in self.skills]
 
     def reset(self) -> Any:
@@ -106,12 +105,12 @@ class SkillsVecEnv(VecEnvWrapper):
         return self.venv.reset()
 
     def step_async(self, actions: Any) -> None:
-        """Take the skills of the next step.
+        """Set the skills of the next step.
 
         Raises
         ------
         ConfigError
-            If there is not a skill for each environment, or one is no index of a skill.
+            If there is not one skill for each environment, or one is no index of a skill.
         """
         given = np.asarray(actions)
         if given.shape != (self.num_envs,):
@@ -121,9 +120,9 @@ class SkillsVecEnv(VecEnvWrapper):
         self._asked = given.astype(np.intp)
 
     def step_wait(self) -> Any:
-        """Carry out one skill in each environment."""
+        """Execute one skill in each environment."""
         n, progress = self.num_envs, self._progress
-        # A predicate that raised may have left skills half way.
+        # An exception in the predicate may have left unfinished skills.
         progress.stop(np.ones(n, np.bool_))
         progress.choose(self._asked)
         dones, interrupted = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
@@ -154,8 +153,9 @@ class SkillsVecEnv(VecEnvWrapper):
         return observations, totals, dones, infos
 
     def action_masks(self) -> BoolArray:
-        """Which skills begin with an action that verifies now in each environment, (num_envs, skills), for
-        sb3-contrib's MaskablePPO; all True where none does.
+        """Mask of skills whose first action verifies, (num_envs, skills), for sb3-contrib's MaskablePPO.
+
+        A row without any such skill is all True.
 
         Raises
         ------
@@ -165,7 +165,7 @@ class SkillsVecEnv(VecEnvWrapper):
         return masks_of_skills(self.skills, np.stack(self.venv.env_method("action_masks")))
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """As of the environments inside, but for `action_space` and `action_masks`."""
+        """As in the environments inside, except `action_space` and `action_masks`."""
         chosen = list(self._get_indices(indices))
         if attr_name == "action_space":
             return [self.action_space for _ in chosen]
@@ -173,7 +173,7 @@ class SkillsVecEnv(VecEnvWrapper):
         return [partial(self._mask_of, i) for i in chosen] if attr_name == "action_masks" else found
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """`action_masks` of each environment; there are no environment objects behind it."""
+        """`action_masks` of each environment; other methods are those of the environments inside."""
         if method_name != "action_masks":
             return self.venv.env_method(method_name, *args, indices=indices, **kwargs)
         masks = self.action_masks()
@@ -185,7 +185,7 @@ class SkillsVecEnv(VecEnvWrapper):
 
 
 def _of_many(interrupt: Any) -> InterruptMany | None:
-    """The predicate of many environments."""
+    """The predicate for a batch of environments."""
     if interrupt is overridden:
         return lambda world, which, infos: [overridden(None, info) for info in infos]  # type: ignore[arg-type]
     if isinstance(interrupt, NearerThan):
@@ -195,12 +195,12 @@ def _of_many(interrupt: Any) -> InterruptMany | None:
 
 
 def _near(predicate: NearerThan, world: FastHighwayVecEnv, which: IntArray, infos: Any) -> list[bool]:
-    """The distance to any other body, in each of some environments."""
+    """Whether another body is too near, in each of some environments."""
     return [predicate.of(*_positions(world.simulator, e)) for e in which.tolist()]
 
 
 def _positions(simulator: Any, e: int) -> tuple[FloatArray, FloatArray]:
-    """The centres of the other bodies, (n, 2), and of the ego, (2,), in one environment [m]."""
+    """Centres of the other bodies, (n, 2), and of the ego, (2,), in one environment [m]."""
     if isinstance(simulator, Simulator):
         worlds, ego = simulator.worlds, 0
         bodies = worlds.f.shape[2]

@@ -1,8 +1,7 @@
-"""The reference policies that the project is measured with: trained, small, and reproducible.
+"""The reference policies for the project's measurements: trained, small, and reproducible.
 
 Each is a Stable-Baselines3 zip with a manifest beside it. `load_reference` takes the algorithm's
 class from the manifest:
-
 >>> model = load_reference("dqn-abz-base")
 >>> type(model).__name__
 'DQN'
@@ -28,7 +27,7 @@ _HERE = files(__name__)
 
 
 def reference_manifest(name: str) -> dict[str, Any]:
-    """How the policy of that name was made, and what it was measured to do."""
+    """The manifest of a policy: its training, and its measured results; raises `ConfigError` for an unknown name."""
     if name not in list_references():
         raise ConfigError(f"unknown reference policy {name!r}; have {list_references()}")
     manifest: dict[str, Any] = json.loads((_HERE / f"{name}.json").read_text(encoding="utf-8"))
@@ -36,12 +35,12 @@ def reference_manifest(name: str) -> dict[str, Any]:
 
 
 def load_reference(name: str, env: gym.Env[Any, Any] | None = None) -> BaseAlgorithm:
-    """Load a reference policy onto the processor.
+    """Load a reference policy on the CPU.
 
     Parameters
     ----------
     name : a name in `list_references`.
-    env : an environment to attach, whose spaces must be those that the policy was trained in.
+    env : an environment to attach, with the spaces of the policy's training.
     """
     algorithm = get_algorithm(reference_manifest(name)["algorithm"])
     with as_file(_HERE / f"{name}.zip") as path:
@@ -49,5 +48,5 @@ def load_reference(name: str, env: gym.Env[Any, Any] | None = None) -> BaseAlgor
 
 
 def reference_file(name: str) -> Path:
-    """The zip file of the reference policy of that name."""
+    """Path of the zip file of a reference policy."""
     return Path(str(_HERE / f"{name}.zip"))

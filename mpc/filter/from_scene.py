@@ -1,4 +1,4 @@
-"""What a scene means to the predictive filter: rectangles, edges and bends of its stages."""
+"""Inputs of the predictive filter from a scene: rectangles, edges and curvature of its stages."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["curvature_ahead", "edges_of", "rectangles"]
 
 
 def rectangles(around: Surroundings, rows: Any, settings: FilterSettings) -> FloatArray:
-    """Where the vehicles of `rows` can be at the end of each stage, (N, len(rows), 4), columns `Occupied` [m]."""
+    """Reachable rectangles of the vehicles `rows` at each stage's end, (N, len(rows), 4), columns `Occupied` [m]."""
     ends = np.array(settings.ends) - 1
     seen = around.occupancy(settings.ends[-1])
     boxes = np.empty((settings.stages, len(rows), 4))
@@ -28,8 +28,8 @@ def rectangles(around: Surroundings, rows: Any, settings: FilterSettings) -> Flo
 def edges_of(road: Road, lanes: list[int], r: float, side: float) -> tuple[float, float]:
     """Least and greatest r [m] of a body that drives in these lanes: their outer edges.
 
-    A change of lane that is half done may still use the lane that it came from: a body with half width `side` [m] at r
-    is always between them.
+    In an unfinished lane change the body may still use its former lane. So a body with half width `side` [m] at r is
+    always within the result.
     """
     centers = road.centers[lanes]
     low, high = float(centers.min()) - 0.5 * road.width, float(centers.max()) + 0.5 * road.width
@@ -37,7 +37,7 @@ def edges_of(road: Road, lanes: list[int], r: float, side: float) -> tuple[float
 
 
 def curvature_ahead(scene: Scene, speed: float, settings: FilterSettings) -> FloatArray | None:
-    """Curvature of the road where each stage begins at that speed, (N,) [1/m]; None on a straight road."""
+    """Curvature of the road at the start of each stage at that speed, (N,) [1/m]; None on a straight road."""
     if scene.road.bends is None:
         return None
     begins = np.array(settings.ends) - settings.frames

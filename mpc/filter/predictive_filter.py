@@ -1,4 +1,4 @@
-"""The predictive safety filter: the nearest inputs to a proposal that keep clear, on the road and able to stop.
+"""The predictive safety filter: inputs nearest to a proposal whose plan keeps its distance, the road, and can stop.
 
 >>> import numpy as np
 >>> from mpc.filter.problem import FilterProblem, FilterSettings
@@ -40,22 +40,22 @@ from mpc.filter.solvers.osqp import OsqpSolver
 __all__ = ["PredictiveFilter"]
 
 _BACKENDS: dict[str, tuple[Any, Any]] = {"daqp": (Program, Solver), "osqp": (SparseProgram, OsqpSolver)}
-"""The form of the program and the solver that is good at it."""
+"""Form of the program and solver of each backend."""
 
 
 class PredictiveFilter:
-    """Owns the compiled programs, the solver and the last plan. Two filters share no state.
+    """Predictive filter, with its compiled programs, solver and last plan. Two filters share no state.
 
     Parameters
     ----------
-    settings : fixed for the filter's life.
-    model : what plans are made with, such as `dynamics.learned.models.casadi_steps.LearnedStep`; highway-env's bicycle
-        by default. Every figure of a result is then the model's; the guess to brake stays the bicycle's.
+    settings : settings of the filter, which never change.
+    model : dynamics model of the plans, such as `dynamics.learned.models.casadi_steps.LearnedStep`; highway-env's
+        bicycle by default. All values of a result come from this model; the braking guess always uses the bicycle.
 
     Raises
     ------
     ConfigError
-        If `settings` is something else, or the model cannot make the settings' stages.
+        If `settings` has another type, or the model does not support the stages of the settings.
     """
 
     def __init__(self, settings: FilterSettings | None = None, model: StageModel | None = None) -> None:
@@ -70,16 +70,16 @@ class PredictiveFilter:
         self._program(settings.obstacles, False, False)
 
     def __reduce__(self) -> tuple[type[PredictiveFilter], tuple[FilterSettings, StageModel | None]]:
-        """Copies and pickles start fresh: compiled programs and solvers do not travel."""
+        """Copies and pickles are new filters, without compiled programs and solvers."""
         return type(self), (self.settings, self.model)
 
     def reset(self) -> None:
-        """Forget the last plan and what the solver would start from: the next answer is that of a new filter."""
+        """Forget the last plan and the solver's warm start, so that the next result is that of a new filter."""
         self._plan = None
         self._solver.begin(None)
 
     def prepare(self, obstacles: int, curved: bool = False) -> None:
-        """Compile what up to so many obstacles need now, and not when they first come up."""
+        """Compile the programs for up to that many obstacles in advance."""
         for count in range(obstacles + 1):
             self._program(count, curved, False)
         braking_function(self.settings)
@@ -87,23 +87,24 @@ class PredictiveFilter:
     def solve(
         self, problem: FilterProblem, guess: FloatArray | None = None, elapsed: int | None = None
     ) -> FilterResult:
-        """The nearest plan.
+        """Find the plan nearest to the proposal.
 
         Parameters
         ----------
-        problem : what is asked, in the road frame.
-        guess : inputs to linearise about and to take the sides from, (N, 2); by default the last plan, shifted, or
-            else the proposal for one stage and then full braking. Where a guess leads nowhere, braking is tried too.
+        problem : the problem, in the road frame.
+        guess : inputs of the first linearisation and choice of sides, (N, 2). By default the last plan, shifted, or
+            else the proposal for one stage and then full braking. If a guess leads to no usable plan, braking is tried
+            too.
         elapsed : frames since the last call, for the shift; the first stage by default.
 
         Returns
         -------
-        The result; `status` says what to do with it. Nothing is raised for values, however broken.
+        The result; `status` says how to use it. Values of any kind, including NaN, raise no error.
 
         Raises
         ------
         ConfigError
-            If the number of stages is not the settings'.
+            If the number of stages differs from the settings, or the guess has another shape.
         """
         start = perf_counter()
         settings = self.settings
@@ -143,7 +144,7 @@ class PredictiveFilter:
         )
 
     def _discard(self) -> None:
-        """Throw the solver's objects away, with the plan."""
+        """Discard the solver's objects and the plan."""
         self._solver.reset()
         self.reset()
 
@@ -163,7 +164,7 @@ class PredictiveFilter:
         first = descend(program, self._solver, guess, deadline)
         if first.status.usable or perf_counter() >= deadline:
             return first, False
-        # The braking guess takes other sides.
+        # The braking guess may choose other sides.
         self._solver.begin(None)
         second = descend(program, self._solver, brake_guess(problem, settings), deadline)
         best = second if second.rank < first.rank else first

@@ -1,10 +1,10 @@
-"""What the predictive filter is asked: settings once, a problem each time.
+"""Settings and problem of the predictive filter.
 
 Notation
 --------
-Road frame: s [m] along, r [m] across, psi [rad], v [m/s]. N stages of `substeps` frames of dt [s], but the first one of
-`hold` frames; stage k = 1..N ends after `FilterSettings.ends[k - 1]` frames. Input (a, delta): acceleration [m/s^2],
-front wheel angle [rad].
+Road frame: s [m] along, r [m] across, psi [rad], v [m/s]. There are N stages of `substeps` frames of dt [s], except the
+first one of `hold` frames. Stage k = 1..N ends after `FilterSettings.ends[k - 1]` frames. Input (a, delta):
+acceleration [m/s^2], front wheel angle [rad].
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from dynamics.state import FloatArray, RoadState
 __all__ = ["BACKENDS", "FREE", "FilterProblem", "FilterSettings", "Occupied", "Reference", "Side", "readable"]
 
 BACKENDS = ("daqp", "osqp")
-"""Valid `FilterSettings.backend`."""
+"""Valid values of `FilterSettings.backend`."""
 MOST_OBSTACLES = 96
-"""More than these are refused as bad input."""
+"""Largest number of obstacles; more are bad input."""
 FREE = 1e6
-"""Stands for no bound [m]; every bound is limited to it, so that arithmetic stays finite."""
+"""Value for an absent bound [m]. Every bound is limited to it, so that arithmetic stays finite."""
 
 
 class Occupied(IntEnum):
@@ -39,7 +39,7 @@ class Occupied(IntEnum):
 
 
 class Side(IntEnum):
-    """Where the plan passes a rectangle: behind it, ahead of it, at lower r, at higher r."""
+    """Side on which the plan passes a rectangle: behind it, ahead of it, at lower r, at higher r."""
 
     BEHIND = 0
     AHEAD = 1
@@ -49,39 +49,39 @@ class Side(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class FilterSettings:
-    """Fixed for the life of a filter.
+    """Settings of a filter, which never change.
 
     Parameters
     ----------
-    dt : frame of the simulation [s].
-    substeps : frames in a stage, whose input is held.
-    hold : frames in the first stage: for how long the first input will be executed at least; `substeps` by default.
-        A filter that is asked again at every frame, and asked to hold its answer for longer, brakes early.
+    dt : duration of a simulation frame [s].
+    substeps : frames in a stage, which has one input.
+    hold : frames in the first stage: the least time for which the first input will be executed; `substeps` by default.
+        A filter that is called in every frame brakes too early if its first stage is longer than a frame.
     stages : stages in the horizon.
-    obstacles : how many obstacles the filter is compiled for at once; more are accepted (up to `MOST_OBSTACLES`)
-        at the price of compiling once more.
+    obstacles : number of obstacles for which the filter is compiled at first; more are accepted (up to
+        `MOST_OBSTACLES`) with another compilation.
     acceleration : least and greatest acceleration [m/s^2].
     steering : greatest front wheel angle to either side [rad].
-    braking : deceleration that the end of the plan can count on, for the stop after the horizon [m/s^2].
+    braking : deceleration of the stop after the horizon [m/s^2].
     smoothing : weight of the changes of later inputs, relative to 1 for the first input's deviation.
     magnitude : weight of later accelerations.
-    steadiness : weight of later steering beyond what the road's bend needs, times 1 + (v / 5 m/s)^2: without it, the
-        cheapest way to cover less road is to swerve.
-    damping : weight of the changes of later steering about the guess: without it, linearised plans swing from side
-        to side. It vanishes where the linearisations settle.
-    free_moves : how many changes of the inputs the plan has; the first belongs to the first stage alone, later ones
-        to more and more stages (`moves`).
-    curving : weight of the squared slack [1/m^2], which keeps the programs strictly convex.
-    penalty : cost of a violated constraint [1/m], where 1 is the cost of a first input half a range away.
-    heading : greatest heading of a plan relative to the road [rad], where it can be kept.
-    trust : how far headings may move from those that the dynamics are linearised about [rad].
+    steadiness : weight of later steering beyond the road's curvature, times 1 + (v / 5 m/s)^2. Without it, swerving is
+        the cheapest way to cover less road.
+    damping : weight of the changes of later steering about the guess. Without it, linearised plans oscillate from side
+        to side. It vanishes as the linearisations converge.
+    free_moves : number of changes of the inputs in a plan. The first belongs to the first stage alone, later ones to
+        more and more stages (`moves`).
+    curving : weight of the squared slack [1/m^2], which makes the programs strictly convex.
+    penalty : cost of a violated constraint [1/m]; the cost of a first input half a range away is 1.
+    heading : greatest heading of a plan relative to the road [rad], as a soft constraint.
+    trust : greatest change of headings from those of the linearisation [rad].
     sweeps : greatest number of linearisations in one `solve`; 1 is the real-time iteration.
     settled : change of the first input below which no further linearisation is made, as a share of the range.
-    tolerance : violation by the exact rollout up to which a plan counts as solved [m].
-    accuracy : residuals up to which a quadratic program counts as solved [m]; the rollout has the last word.
+    tolerance : violation in the exact rollout up to which a plan counts as solved [m].
+    accuracy : residuals up to which a quadratic program counts as solved [m]; the exact rollout decides in the end.
     backend : solver of the quadratic programs, "daqp" (condensed) or "osqp" (sparse); see docs/predictive-filter.md.
-    max_iter : iterations of one quadratic program, the deterministic deadline; by default `most_iterations`.
-    time_limit : wall time of one `solve` [s], behind it; 0 for none.
+    max_iter : iterations of one quadratic program, a deterministic time limit; by default `most_iterations`.
+    time_limit : additional limit of the wall time of one `solve` [s]; 0 for none.
 
     Raises
     ------
@@ -162,24 +162,24 @@ class FilterSettings:
 
     @property
     def most_iterations(self) -> int:
-        """`max_iter`, or else 300 active sets for DAQP and 150 iterations for OSQP."""
+        """`max_iter`, or by default 300 active sets for DAQP and 150 iterations for OSQP."""
         return {"daqp": 300, "osqp": 150}[self.backend] if self.max_iter is None else self.max_iter
 
     @property
     def moves(self) -> tuple[int, ...]:
-        """Stages of each move."""
+        """Number of stages of each move."""
         n, count = self.stages, self.free_moves
         ends = [max(round(n * (i / count) ** 1.8), i) for i in range(1, count)]
         return tuple(int(d) for d in np.diff([0, *ends, n]))
 
     @property
     def frames(self) -> tuple[int, ...]:
-        """Frames of each stage."""
+        """Number of frames of each stage."""
         return (self.substeps if self.hold is None else self.hold, *[self.substeps] * (self.stages - 1))
 
     @property
     def ends(self) -> tuple[int, ...]:
-        """Frames from now to the end of each stage."""
+        """Number of frames from now to the end of each stage."""
         return tuple(accumulate(self.frames))
 
     @property
@@ -190,7 +190,7 @@ class FilterSettings:
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """Where a plan should go: least squares, beside or instead of a proposal.
+    """Target of a plan: least-squares terms, in addition to a proposal or instead of it.
 
     Parameters
     ----------
@@ -210,29 +210,29 @@ class Reference:
 
 @dataclass(frozen=True, slots=True)
 class FilterProblem:
-    """One question to the filter, in the road frame.
+    """One problem of the filter, in the road frame.
 
     Parameters
     ----------
     state : (s, r, psi, v), shape (4,).
-    proposal : input to stay near to, shape (2,); None with a `reference` only.
+    proposal : the proposed input, shape (2,); None only with a `reference`.
     occupancy : rectangles that others may occupy at the end of each stage, columns `Occupied`, shape (N, m, 4) [m],
-        not inflated; +-inf stands for unbounded.
+        not inflated; +-inf for no bound.
     half : half extents (along, across) of the ego's buffered footprint at heading zero [m].
-    edges : (low, high) r that the buffered footprint has to stay between [m], each scalar or (N,).
-    corridor : (low, high) r that the centre has to stay between [m], each scalar or (N,).
-    curvature : of the reference path [1/m], (N,); None on a straight road.
-    rest : where the rear of each obstacle comes to rest at the earliest [m], (m,): the plan must be able to stop
-        behind it if it ends behind the obstacle. By default s_min at the end of the horizon.
-    stop : s that the front of the buffered footprint must be able to stop before [m]; +inf for none.
-    reference : what to aim at, in addition to the proposal or instead of it.
-    limits : inputs allowed here, rows a and delta, columns least and greatest, (2, 2); by default the settings'.
+    edges : (low, high) r, bounds of the buffered footprint [m], each scalar or (N,).
+    corridor : (low, high) r, bounds of the centre [m], each scalar or (N,).
+    curvature : curvature of the reference path [1/m], (N,); None on a straight road.
+    rest : earliest stopping position of the rear of each obstacle [m], (m,). A plan that ends behind an obstacle must
+        be able to stop behind this position. By default s_min at the end of the horizon.
+    stop : s before which the front of the buffered footprint must be able to stop [m]; +inf for none.
+    reference : target in addition to the proposal or instead of it.
+    limits : valid inputs, rows a and delta, columns least and greatest, (2, 2); by default the settings'.
 
     Raises
     ------
     SceneError
-        If a shape is wrong, or neither proposal nor reference is given. Values that are not finite are no error
-        here: `PredictiveFilter.solve` answers them with `Status.BAD_INPUT`.
+        If a shape is wrong, or there is neither a proposal nor a reference. Values that are not finite raise no error
+        here: `PredictiveFilter.solve` returns `Status.BAD_INPUT` for them.
     """
 
     state: FloatArray
@@ -269,12 +269,12 @@ class FilterProblem:
 
     @property
     def stages(self) -> int:
-        """Stages that the occupancy covers."""
+        """Number of stages of the occupancy."""
         return int(np.shape(self.occupancy)[0])
 
 
 def readable(problem: FilterProblem, guess: FloatArray | None = None) -> bool:
-    """Whether the arithmetic will stay finite: NaN nowhere, infinity only where it stands for unbounded."""
+    """Whether the arithmetic will stay finite: no NaN, and infinity only for an absent bound."""
     finite: list[Any] = [problem.state, problem.half]
     finite += [v for v in (problem.proposal, problem.curvature, guess, problem.limits) if v is not None]
     if problem.reference is not None:

@@ -1,4 +1,4 @@
-"""What the predictive filter answers."""
+"""Result of the predictive filter."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["FilterResult", "Status"]
 
 
 class Status(StrEnum):
-    """How a `solve` ended; the text says what to do."""
+    """Status of a `solve`; the text contains the advice."""
 
     SOLVED = "solved: verify the plan, then use its first input"
     INACCURATE = "the plan holds but another linearisation may find a nearer one: verify it, or raise sweeps"
@@ -23,28 +23,28 @@ class Status(StrEnum):
 
     @property
     def usable(self) -> bool:
-        """Whether the plan keeps the constraints by the exact rollout, so that it is worth verifying."""
+        """Whether the plan satisfies the constraints in the exact rollout, so that it is worth verifying."""
         return self in (Status.SOLVED, Status.INACCURATE)
 
 
 @dataclass(frozen=True, slots=True)
 class FilterResult:
-    """A plan and how good it is. The arrays are the caller's own.
+    """A plan and its quality. The arrays belong to the caller.
 
     Attributes
     ----------
-    status : how it ended. No plan was verified frame by frame: that is the caller's part.
-    inputs : (a [m/s^2], delta [rad]) of each stage, (N, 2), inside the bounds; NaN where there is no plan.
+    status : the status. The plan is not verified frame by frame; that is the caller's task.
+    inputs : (a [m/s^2], delta [rad]) of each stage, (N, 2), inside the bounds; NaN without a plan.
     states : road states at the end of each stage by the exact rollout of `inputs`, (N, 4).
-    sides : on which `Side` the plan was to pass each obstacle at each stage, (N, m); -1 where there is no plan.
-    slack : greatest slack that the last quadratic program had to use [m].
-    violation : greatest violation of a constraint by `states` [m], whichever side an obstacle is passed on.
-    change : of the first input by the last linearisation, as a share of the range; 0 where it is the proposal.
-    primal, dual : residuals of the last quadratic program, computed here and not by the solver.
-    active : bounds and rows that hold with equality, all quadratic programs together: the solver's work.
-    sweeps : linearisations made.
-    restarted : whether the guess led nowhere, so that the braking guess was tried as well.
-    build_time, solve_time : spent around the quadratic programs and on their solutions [s].
+    sides : `Side` on which the plan passes each obstacle at each stage, (N, m); -1 without a plan.
+    slack : greatest slack in the last quadratic program [m].
+    violation : greatest violation of a constraint by `states` [m], for any side of an obstacle.
+    change : change of the first input by the last linearisation, as a share of the range; 0 for the proposal itself.
+    primal, dual : residuals of the last quadratic program, computed independently of the solver.
+    active : number of active bounds and rows in all quadratic programs together, a measure of the solver's work.
+    sweeps : number of linearisations.
+    restarted : whether the guess led to no usable plan, so that the braking guess was tried as well.
+    build_time, solve_time : time around the quadratic programs and for their solutions [s].
     """
 
     status: Status

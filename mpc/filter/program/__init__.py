@@ -1,1 +1,1 @@
-"""What the filter solves: one question, linearised, in the form that each solver is good at."""
+"""The filter's program: one problem, linearised, in the form for each solver."""

@@ -1,5 +1,4 @@
-r"""The filter's quadratic program, condensed, as one fused CasADi function: the form for DAQP. Pure: arrays in, arrays
-out, no solver.
+r"""The filter's quadratic program in condensed form, for DAQP, as one fused CasADi function without side effects.
 
 The problem
 -----------
@@ -8,20 +7,20 @@ With z = u / (half the range of the input), proposal z_p, road states x_k at the
     min  w |z_0 - z_p|^2 + smoothing sum |z_k - z_{k-1}|^2 + magnitude sum |z_k - z_ff|^2
          + reference terms in r_k, psi_k, v_k + penalty sum sigma
     s.t. x_{k+1} = F(x_k, u_k) (Euler frames, exactly; or a model)        u in its box, v_k >= 0
-         s_k + h_s(psi_k) <= s_min of those that are passed behind        s_k - h_s >= s_max of those passed ahead
+         s_k + h_s(psi_k) <= s_min of obstacles passed behind             s_k - h_s >= s_max of obstacles passed ahead
          r_k + lat cos psi_k +- lon sin psi_k <= r_min, upper edge        the same at the lower side
          corridor_low <= r_k <= corridor_high
-         s_N + h_s + v_N^2 / (2 b) <= where those behind which it ends come to rest, and `stop`
+         s_N + h_s + v_N^2 / (2 b) <= stopping positions of obstacles that the plan ends behind, and `stop`
          r_N + v_N^2 / (2 b) sin psi_N, with the footprint, between the edges
 
-where every constraint after the box is relaxed by the slack sigma >= 0 [m] that the stages of a move share. All
-obstacles that are passed on the same side share a row: only the tightest bound counts, so that the size of the
-program does not depend on their number.
+Every constraint after the box is relaxed by a slack sigma >= 0 [m], which the stages of a move share. All obstacles
+that are passed on the same side share a row with the tightest bound. So the size of the program does not depend on
+their number.
 
-It is linearised about the rollout of guessed inputs and condensed: the unknowns are the changes of the inputs about
-the guess, one for each *move* (several stages that change alike; the guess itself may differ from stage to stage, so
-that moving a plan on loses nothing), and the slack of each move. Zero is always a feasible point up to slack. The
-heading's change is limited to the trust region.
+The program is linearised about the rollout of guessed inputs and condensed. The unknowns are the changes of the inputs
+about the guess and the slack of each move. A *move* is several stages with the same change. The guess itself may differ
+from stage to stage, so a shifted plan loses nothing. Zero is always a feasible point up to slack. The change of the
+heading is limited to the trust region.
 """
 
 from __future__ import annotations
@@ -43,14 +42,14 @@ __all__ = ["Program", "build"]
 
 
 class Program(Question):
-    """One compiled problem size, in condensed form.
+    """Compiled program of one size, in condensed form.
 
     min 1/2 w' H w + g' w  s.t.  low <= w <= high,  lower <= A w <= upper
 
     Attributes
     ----------
     H, A : dense, column-major.
-    g, low, high, lower, upper : the rest of the program.
+    g, low, high, lower, upper : the other arrays of the program.
     """
 
     def __init__(
@@ -68,7 +67,7 @@ class Program(Question):
 def build(
     problem: FilterProblem, inputs: FloatArray, settings: FilterSettings, model: StageModel | None = None
 ) -> Program:
-    """The program for one problem, linearised about the rollout of `inputs` (N, 2); pure, without a solver."""
+    """The program of one problem, linearised about the rollout of `inputs` (N, 2), without a solver."""
     curved = problem.curvature is not None and bool(np.any(problem.curvature))
     program = Program(settings, max(int(problem.occupancy.shape[1]), 1), curved, problem.reference is not None, model)
     program.fill(problem, settings)
@@ -100,7 +99,7 @@ def _compiled(
             lower.append(-INFINITY * ca.DM.ones(room.shape[0]))
             upper.append(room)
             k += 1
-        # Speed is linear within a move: not negative at its end is not negative within.
+        # Speed is linear within a move, so a non-negative speed at its end is non-negative throughout.
         x = way.states[k - 1]
         rows += [slope.hard(_SPEED), slope.hard(_HEADING), slope.rows(_TURNED, j)]
         lower += [ca.fmin(x[3], 0) - x[3], -settings.trust, -INFINITY * ca.DM.ones(2)]

@@ -1,7 +1,7 @@
-"""One question along guessed inputs, stage by stage, as CasADi expressions: what both forms of the program are made of.
+"""One problem about guessed inputs, stage by stage, as CasADi expressions for both forms of the program.
 
-`mpc.filter.program.condensed` condenses them for DAQP, `mpc.filter.program.sparse` keeps the states for
-OSQP. The rows, the sides and what is violated are therefore the same expressions.
+`mpc.filter.program.condensed` condenses them for DAQP. `mpc.filter.program.sparse` keeps the states for OSQP. So rows,
+sides and violations are the same expressions in both.
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ from mpc.filter.program.sides import SideChoice
 __all__ = ["ENDS", "INFINITY", "LEVER", "MISC", "TANGENTS", "Linearised", "linearised"]
 
 INFINITY = 1e30
-"""Stands for no bound in a program."""
+"""Value for an absent bound in a program."""
 MISC = 15
-"""Entries of `Question.misc`."""
+"""Number of entries of `Question.misc`."""
 LEVER = 5.0
-"""What a radian of heading beyond the limit counts for in slack [m]."""
+"""Slack for a radian of heading beyond the limit [m]."""
 TANGENTS = (6.0, 12.0, 18.0, 24.0, 30.0)
-"""Further speeds at which the way to a stop is linearised [m/s]."""
+"""Additional speeds at which the stopping distance is linearised [m/s]."""
 ENDS = 5 + len(TANGENTS)
-"""Soft constraints of the end of the plan."""
+"""Number of soft constraints at the end of the plan."""
 _FAR = 1e3
-"""No soft bound is further away from the guess than this [m]."""
+"""Greatest distance of a soft bound from the guess [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Linearised:
-    """Expressions of one question.
+    """Expressions of one problem.
 
     Attributes
     ----------
     arguments : symbols, in the order of the arrays of `Question`.
-    inputs, curvature, aim, near, weights, speed, scale : symbols that the objective is made of.
-    states : at the end of each stage, N of (4, 1).
+    inputs, curvature, aim, near, weights, speed, scale : symbols in the objective.
+    states : state at the end of each stage, N of (4, 1).
     slopes : Jacobians of each stage by its state (4, 4) and by its *scaled* input (4, 2).
-    rows : of each stage, values <= limit: Jacobian by its state (n, 4) and the room that is left (n, 1) [m].
+    rows : for each stage, constraints values <= limit: Jacobian by its state (n, 4) and remaining room (n, 1) [m].
     end : the same for the end of the plan.
     low, high : least and greatest change of the scaled inputs of each move, (2, 1).
-    sides, violation : of the guess, (m, N) and (1, 1).
+    sides, violation : values of the guess, (m, N) and (1, 1).
     """
 
     arguments: list[ca.SX]
@@ -72,7 +72,7 @@ class Linearised:
 
 
 def linearised(settings: FilterSettings, m: int, curved: bool, model: StageModel | None) -> Linearised:
-    """For `m` obstacles, on a straight or a curved road."""
+    """Expressions for `m` obstacles, on a straight or a curved road."""
     n = settings.stages
     x0, u = ca.SX.sym("x0", 4), ca.SX.sym("u", 2, n)
     occupied = ca.SX.sym("occupied", 4, m * n)
@@ -113,7 +113,7 @@ def linearised(settings: FilterSettings, m: int, curved: bool, model: StageModel
     limit = ca.fmin(choice.rest(rest), stop)
     room = ca.vertcat(limit, ca.repmat(edges[1, n - 1], 2, 1), ca.repmat(-edges[0, n - 1], 2, 1)) - values
     violations.append(-ca.mmin(room))
-    # The stop is convex in the speed: tangents at other speeds than the guess's are valid rows as well, and tighten it.
+    # The stopping distance is convex in the speed. Tangents at other speeds than the guess's are valid rows too.
     others = ca.DM(TANGENTS)
     gain = (others - x[3]) ** 2 / (2 * settings.braking)
     bent = ca.repmat(jacobian[0, :], others.numel(), 1)
@@ -126,7 +126,7 @@ def linearised(settings: FilterSettings, m: int, curved: bool, model: StageModel
 
 
 def _stage_function(settings: FilterSettings, frames: int, curved: bool, model: StageModel | None) -> ca.Function:
-    """One stage of so many frames and its Jacobians."""
+    """One stage of `frames` frames, with its Jacobians."""
     x, u, k = ca.SX.sym("x", 4), ca.SX.sym("u", 2), ca.SX.sym("k")
     after = stage_expression(x, u, k if curved else None, settings.dt, frames, model)
     return ca.Function("stage", [x, u, k], [after, ca.jacobian(after, x), ca.jacobian(after, u)])

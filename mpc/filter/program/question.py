@@ -1,4 +1,4 @@
-"""What is asked about one guess, and what comes of the guess: the arrays that the compiled functions read and write."""
+"""Arrays of one problem and its guess, which the compiled functions read and write."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Question", "Weights", "bind"]
 
 @dataclass(frozen=True, slots=True)
 class Weights:
-    """Weights of one problem, as the function takes them."""
+    """Weights of one problem, in the order of the compiled function."""
 
     acceleration: float
     steering: float
@@ -29,7 +29,7 @@ class Weights:
 
     @classmethod
     def of(cls, problem: FilterProblem, settings: FilterSettings) -> Weights:
-        """From the problem: the first input is free of smoothing where there is a proposal to stay near to."""
+        """Weights of a problem; with a proposal, the first input has no smoothing."""
         near = problem.proposal is not None
         aim = problem.reference
         lateral, heading, speed = (aim.lateral, aim.heading, aim.speed) if aim is not None else (0.0, 0.0, 0.0)
@@ -37,16 +37,16 @@ class Weights:
 
 
 class Question:
-    """Arrays of one compiled size, which never changes: fill the inputs, `linearise`, read the outputs.
+    """Arrays of one compiled size: fill the inputs, call `linearise`, and read the outputs.
 
-    The form of the quadratic program is the leaf's: `build.Program` (condensed), `sparse_build.SparseProgram`.
+    Subclasses define the form of the quadratic program: `condensed.Program` and `sparse.SparseProgram`.
 
     Attributes
     ----------
     state (4,), inputs (N, 2), occupancy (N, m, 4), rest (m,), edges (N, 2), corridor (N, 2), curvature (N,),
-    aim (N, 2), misc (15,), given (N, m) : what to fill in. misc is lon, lat, stop, proposal (2), limits (4),
-        weights (6); given is a side, or -1 where it is to be chosen.
-    states (N, 4), sides (N, m), violation (1,), cost (1,) : of the guess, by the exact rollout.
+    aim (N, 2), misc (15,), given (N, m) : inputs. misc is lon, lat, stop, proposal (2), limits (4), weights (6). given
+        is a side, or -1 for a free choice.
+    states (N, 4), sides (N, m), violation (1,), cost (1,) : values of the guess, by the exact rollout.
     scale : half the range of the inputs, (2,).
     """
 
@@ -68,7 +68,7 @@ class Question:
         self._roll_out = bind(rollout, given, (self.states, self.violation, self.cost))
 
     def fill(self, problem: FilterProblem, settings: FilterSettings) -> None:
-        """Everything but the guess, which is `inputs`."""
+        """Fill all inputs except the guess, `inputs`."""
         m = int(problem.occupancy.shape[1])
         self.state[:] = problem.state
         np.clip(problem.occupancy, -FREE, FREE, out=self.occupancy[:, :m])
@@ -109,30 +109,30 @@ class Question:
 
     @property
     def wanted(self) -> FloatArray | None:
-        """The nearest allowed input to the proposal, (2,); None where a reference is aimed at as well."""
+        """The valid input nearest to the proposal, (2,); None with a reference."""
         if self.misc[9] == 0 or self.misc[12:15].any():
             return None
         return np.clip(self.misc[3:5], *self.limits)
 
     @property
     def merit(self) -> float:
-        """Cost of `inputs` with what they violate beyond the tolerance: what a step has to lower."""
+        """Merit function: cost of `inputs` plus their violation beyond the tolerance, which a step has to lower."""
         return float(self.cost[0] + self.settings.penalty * max(self.violation[0] - self.settings.tolerance, 0.0))
 
     def free_sides(self) -> None:
-        """Choose the sides anew with each guess."""
+        """Choose the sides anew for each guess."""
         self.given[:] = -1.0
 
     def keep_sides(self) -> None:
-        """Stay with the sides chosen by the last call."""
+        """Keep the sides of the last call."""
         self.given[:] = self.sides
 
     def linearise(self) -> None:
-        """About the rollout of `inputs`: fills every output."""
+        """Linearise about the rollout of `inputs`, and fill every output."""
         self._linearise()
 
     def roll_out(self) -> None:
-        """`inputs` again, for `states`, `violation` and `cost` alone."""
+        """Roll out `inputs`, and fill `states`, `violation` and `cost` only."""
         self._roll_out()
 
 

@@ -3,11 +3,11 @@ r"""highway-env's bicycle in the frame of a road: one Euler frame, one stage, wh
 Notation
 --------
 Road state x = (s, r, psi, v) in the order of `dynamics.state.RoadState`, input u = (a, delta): acceleration
-[m/s^2], front wheel angle [rad]. kappa [1/m] is the curvature of the road's reference path, positive where the
-path turns towards positive r. A *stage* holds one input for `substeps` frames of dt.
+[m/s^2], front wheel angle [rad]. kappa [1/m] is the curvature of the road's reference path, positive if the path turns
+towards positive r. A *stage* has one input for `substeps` frames of dt.
 
 An Euler step moves the car by (dx, dy) = v dt (cos(psi + beta), sin(psi + beta)) in the tangent frame of the path
-at s. On an arc of curvature kappa that straight move is exactly, with R = r + dy and D = 1 - kappa R,
+at s. On an arc of curvature kappa this straight move is exactly, with R = r + dy and D = 1 - kappa R,
 
     s'   = s + atan2(kappa dx, D) / kappa
     r'   = (1 - sqrt(D^2 + kappa^2 dx^2)) / kappa = (2 R - kappa (R^2 + dx^2)) / (1 + sqrt(D^2 + kappa^2 dx^2))
@@ -16,7 +16,7 @@ at s. On an arc of curvature kappa that straight move is exactly, with R = r + d
 The second form of r' has no singularity at kappa = 0. Source: geometry of a circle and a line, with
 `dynamics.vehicle.bicycle.step_expression` for the move.
 
-A `StageModel` moves the car in the tangent frame by a whole stage at once, and the same geometry takes it to the road.
+A `StageModel` computes the move of a whole stage in the tangent frame; the same geometry converts it to the road frame.
 """
 
 from __future__ import annotations
@@ -31,33 +31,33 @@ from dynamics.vehicle.bicycle import LENGTH, step_expression
 __all__ = ["StageModel", "feed_forward", "frame_expression", "rollout_function", "stage_expression"]
 
 _STRAIGHT = 1e-12
-"""Curvature below which the arc's angle is taken to first order [1/m]."""
+"""Curvature below which the arc's angle is computed to first order [1/m]."""
 
 
 class StageModel(Protocol):
-    """What a stage can be of instead of the bicycle's frames; hashable, and never changing."""
+    """Model of a stage in place of the bicycle's frames; hashable and immutable."""
 
     def __hash__(self) -> int: ...
 
     def held(self, state: ca.SX, control: ca.SX, duration: float) -> ca.SX:
-        """(x, y, psi, v) after an input (a, delta) has been held for `duration` [s], (4, 1) to (4, 1).
+        """(x, y, psi, v) after an input (a, delta) for `duration` [s], (4, 1) to (4, 1).
 
         Raises
         ------
         ConfigError
-            If it cannot say so for that duration.
+            If the model does not support that duration.
         """
         ...
 
 
 def frame_expression(state: ca.SX, acceleration: ca.SX, steering: ca.SX, curvature: ca.SX | None, dt: float) -> ca.SX:
-    """One simulation frame in the road frame, (4, 1) to (4, 1); `curvature` None stands for a straight road."""
+    """One simulation frame in the road frame, (4, 1) to (4, 1); `curvature` None for a straight road."""
     move = step_expression(ca.vertcat(0, 0, state[2], state[3]), acceleration, steering, dt)
     return _on_road(state, move, curvature)
 
 
 def _on_road(state: ca.SX, move: ca.SX, curvature: ca.SX | None) -> ca.SX:
-    """The road state after a move (dx, dy, psi', v') that began at (0, 0) of the tangent frame."""
+    """The road state after a move (dx, dy, psi', v') from (0, 0) in the tangent frame."""
     s, r = state[0], state[1]
     if curvature is None:
         return ca.vertcat(s + move[0], r + move[1], move[2], move[3])
@@ -79,7 +79,7 @@ def stage_expression(
     substeps: int,
     model: StageModel | None = None,
 ) -> ca.SX:
-    """`substeps` frames under one input (2, 1): state (4, 1) to state (4, 1), by the bicycle or by a model."""
+    """`substeps` frames under one input (2, 1), by the bicycle or by a model: state (4, 1) to state (4, 1)."""
     if model is not None:
         move = model.held(ca.vertcat(0, 0, state[2], state[3]), control, dt * substeps)
         return _on_road(state, move, curvature)
@@ -89,7 +89,7 @@ def stage_expression(
 
 
 def feed_forward(curvature: ca.SX, r: ca.SX) -> ca.SX:
-    """Wheel angle [rad] that keeps a car at lateral position r [m] of a path of that curvature [1/m]."""
+    """Front wheel angle [rad] that keeps a car at lateral position r [m] of a path of that curvature [1/m]."""
     bend = curvature / (1 - curvature * r)
     return ca.atan(2 * ca.tan(ca.asin(ca.fmax(ca.fmin(0.5 * LENGTH * bend, 0.7), -0.7))))
 

@@ -1,10 +1,11 @@
-"""Sensitivities, rows and objective of the filter's program, as CasADi expressions; `mpc.filter.program.linearised` and
-`mpc.filter.program.condensed` put them together.
+"""Sensitivities, rows and objective of the filter's program, as CasADi expressions.
+
+`mpc.filter.program.linearised` and `mpc.filter.program.condensed` combine them.
 
 Notation
 --------
-w = (dz of each move (2 each), slack of each move): the unknowns. dz is the change of the scaled inputs of all stages
-of a move about the guess. S_k = d x_k / d w over the inputs' columns, (4, 2 moves), by the chain rule over the stages.
+w = (dz of each move (2 each), slack of each move): the unknowns. dz is the change of the scaled inputs of all stages of
+a move about the guess. S_k = d x_k / d w for the inputs' columns, (4, 2 moves), by the chain rule over the stages.
 """
 
 from __future__ import annotations
@@ -18,22 +19,22 @@ from mpc.filter.program.sides import along
 __all__ = ["SOFT", "TURNS", "Sensitivity", "end_function", "objective", "references", "row_function"]
 
 SOFT = 8
-"""Soft constraints of a stage."""
+"""Number of soft constraints of a stage."""
 TURNS = 4
-"""Rows at the end of a move: speed, trust region, heading to either side."""
+"""Number of rows at the end of a move: speed, trust region, heading to either side."""
 _CALM = 5.0
-"""Above this speed later steering costs more, by the square of the speed [m/s]."""
+"""Speed in the weight of later steering, which grows with the square of v over this speed [m/s]."""
 
 
 class Sensitivity:
-    """Carries d x_k / d w from stage to stage (at build time)."""
+    """Propagates d x_k / d w from stage to stage (at build time)."""
 
     def __init__(self, settings: FilterSettings) -> None:
         self._moves = len(settings.moves)
         self.now = ca.SX(4, 2 * self._moves)
 
     def step(self, move: int, jx: ca.SX, ju: ca.SX) -> ca.SX:
-        """After one stage with Jacobians jx (4, 4) and ju (4, 2) by the scaled input, which belongs to that move."""
+        """Propagate over one stage of a move, with Jacobians jx (4, 4) and ju (4, 2) by the scaled input."""
         own = ca.horzcat(ca.SX(4, 2 * move), ju, ca.SX(4, 2 * (self._moves - move - 1)))
         self.now = ca.sparsify(jx @ self.now + own)
         return self.now
@@ -45,7 +46,7 @@ class Sensitivity:
         return ca.horzcat(ca.sparsify(jacobian @ self.now), slack)
 
     def hard(self, row: ca.SX) -> ca.SX:
-        """A row (1, 4) by the state without slack."""
+        """A row (1, 4) by the state, without slack."""
         return ca.horzcat(ca.sparsify(row @ self.now), ca.SX(1, self._moves))
 
 
@@ -61,7 +62,7 @@ def row_function() -> ca.Function:
 
 
 def end_function(braking: float) -> ca.Function:
-    """Where the plan would stop after the horizon, straight ahead along the road: along (1), across (4)."""
+    """Stopping position after the horizon, straight ahead, with its Jacobian: along (1), across (4)."""
     x, lon, lat = ca.SX.sym("x", 4), ca.SX.sym("lon"), ca.SX.sym("lat")
     distance = x[3] * ca.fabs(x[3]) / (2 * braking)
     drift = x[1] + distance * ca.sin(x[2])
@@ -82,8 +83,10 @@ def objective(
     speed: ca.SX,
     scale: ca.DM,
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Hessian, gradient at the guess, and cost of the guess itself, but for the `references`; `aim` None: there are
-    none."""
+    """Hessian, gradient at the guess, and cost of the guess, without the terms of `references`.
+
+    `aim` is None without a reference.
+    """
     moves = len(settings.moves)
     w = ca.SX.sym("w", 3 * moves)
     of = [j for j, length in enumerate(settings.moves) for _ in range(length)]
@@ -107,5 +110,5 @@ def objective(
 
 
 def references(k: int, x: ca.SX, aim: ca.SX, weights: ca.SX) -> list[tuple[int, ca.SX, ca.SX]]:
-    """Terms of the objective weight * off^2 at the end of stage k: which entry of the state, weight, off."""
+    """Terms weight * off^2 of the objective at the end of stage k: index of the state, weight, off."""
     return [(1, weights[3], x[1] - aim[0, k]), (2, weights[4], x[2]), (3, weights[5], x[3] - aim[1, k])]

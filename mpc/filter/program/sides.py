@@ -1,9 +1,9 @@
-"""On which side of each obstacle a plan passes: chosen from the guess, as CasADi expressions.
+"""Choice of the side on which a plan passes each obstacle, from the guess, as CasADi expressions.
 
-Separation of two rectangles is a disjunction (behind, ahead, lower r, higher r); once the side is chosen it is one
-smooth constraint. The side follows the guess: the greatest gap there, measured in what a plan could close in the
-time, and since a plan cannot jump, never the opposite of the side before it, nor a new one while the guess overlaps
-the obstacle.
+Separation of two rectangles is a disjunction (behind, ahead, lower r, higher r). With a chosen side it is one smooth
+constraint. The choice is the greatest gap of the guess, measured relative to the distance that a plan could cover in
+the time. A plan cannot jump: so the choice is never the opposite of the former side, and stays the same while the guess
+overlaps the obstacle.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from mpc.filter.problem import FREE, Occupied, Side
 __all__ = ["SideChoice", "along"]
 
 _SMOOTH = 0.02
-"""Rounds the corner of |sin psi| in h_s: at most this times the half width too large [m]."""
+"""Rounding of the corner of |sin psi| in h_s; the error is at most this times the half width [m]."""
 _REACH = (5.0, 2.0, 4.0, 0.6)
-"""Deviations that a plan can reach: acceleration along and across [m/s^2], most across [m], least time [s]."""
+"""Deviations that a plan can reach: acceleration along and across [m/s^2], greatest across [m], least time [s]."""
 
 
 def along(psi: ca.SX, lon: ca.SX, lat: ca.SX) -> ca.SX:
-    """Half extent along the road, smooth and never below lon |cos| + lat |sin|."""
+    """Half extent along the road [m], smooth and at least lon |cos| + lat |sin|."""
     return lon * ca.fabs(ca.cos(psi)) + lat * ca.sqrt(ca.sin(psi) ** 2 + _SMOOTH**2)
 
 
 class SideChoice:
-    """Writes the choice of sides as expressions, one stage after the other (at build time)."""
+    """Builds the choice of sides as expressions, one stage after the other (at build time)."""
 
     def __init__(self, obstacles: int, lon: ca.SX, lat: ca.SX, given: ca.SX) -> None:
         self._given = given
@@ -35,7 +35,7 @@ class SideChoice:
         self._chosen: list[list[ca.SX]] = []
 
     def start(self, x: ca.SX, rectangles: ca.SX, time: float) -> None:
-        """Sides at the present state, against where others can be at the end of the first stage, after `time` [s]."""
+        """Choose sides at the present state, for the rectangles at the end of the first stage, after `time` [s]."""
         self._sides = [self._best(self._gaps(x, rectangles[:, j]), time) for j in range(self._m)]
 
     def step(self, k: int, x: ca.SX, rectangles: ca.SX, time: float) -> tuple[tuple[ca.SX, ca.SX, ca.SX, ca.SX], ca.SX]:
@@ -59,14 +59,14 @@ class SideChoice:
         return (s_high, s_low, r_high, r_low), clear
 
     def rest(self, rest: ca.SX) -> ca.SX:
-        """The nearest place [m] where an obstacle behind which the plan ends comes to rest."""
+        """Nearest stopping position [m] of an obstacle that the plan ends behind."""
         out = ca.SX(FREE)
         for j in range(self._m):
             out = ca.fmin(out, ca.if_else(self._sides[j] == Side.BEHIND, rest[j], FREE))
         return out
 
     def table(self) -> ca.SX:
-        """Sides of all stages, (m, N): column-major, as the (N, m) array takes it."""
+        """Sides of all stages, (m, N), column-major for an (N, m) array."""
         return ca.densify(ca.horzcat(*[ca.vertcat(*sides) for sides in self._chosen]))
 
     def _gaps(self, x: ca.SX, rectangle: ca.SX) -> ca.SX:

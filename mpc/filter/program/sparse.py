@@ -1,9 +1,9 @@
-r"""The filter's quadratic program with its states kept, scaled, as one fused CasADi function: the form for OSQP. Pure.
+r"""The filter's quadratic program in sparse form, for OSQP, scaled, as one fused CasADi function without side effects.
 
 The problem
 -----------
-The same objective, stages, moves, sides and rows as in `mpc.filter.program.condensed`, uncondensed (multiple
-shooting): unknowns are the changes dz of the scaled inputs of each move about the guess, the deviations dx_k of the
+Objective, stages, moves, sides and rows are those of `mpc.filter.program.condensed`, but uncondensed (multiple
+shooting). The unknowns are the changes dz of the scaled inputs of each move about the guess, the deviations dx_k of the
 states from the guess's rollout, and the slack of each move,
 
     min 1/2 x' P x + q' x   s.t.  l <= A x <= u,   x = (dz (2 moves), dx (4 N), slack (moves))
@@ -11,16 +11,16 @@ states from the guess's rollout, and the slack of each move,
     rows: dx_k = Jx dx_{k-1} + Ju dz (4 N); bounds of dz and slack (3 moves); then those of the condensed program, in
     the same order.
 
-Zero is the rollout of the guess. Eliminating dx gives the condensed program; `SparseProgram.judge` does so to say how
-good an answer is.
+Zero is the rollout of the guess. Elimination of dx gives the condensed program; `SparseProgram.judge` does so to
+measure the quality of a solution.
 
 Scaling
 -------
-ADMM moves an unknown only as far as the rows let go of it: row i holds on with rho e_i^2, where e_i is what the row is
-multiplied by (`_Scales`). It should hold on the less, the further a free plan moves the row: so deviations of the
-states are carried along as covariances under the objective's own curvature, and e_i falls with a power of them. Rows
-that are far from the guess hardly hold on at all, those of the dynamics a hundred times harder. OSQP's own scaling,
-which would be redone at each update, is not needed.
+In ADMM each row resists the motion of an unknown: row i by rho e_i^2, where e_i is the scale of the row (`_Scales`).
+The resistance should be smaller for rows that a free plan moves further. So deviations of the states are propagated as
+covariances under the curvature of the objective, and e_i falls with a power of them. Rows far from the guess resist
+hardly at all, those of the dynamics a hundred times more. OSQP's own scaling would be repeated at each update, and is
+not needed.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ __all__ = ["SparseProgram", "build_sparse"]
 
 @dataclass(frozen=True, slots=True)
 class _Scales:
-    """How hard rows hold on: factor, and the power of the deviation that a free plan has; both tuned on recorded
-    questions, flat around these values."""
+    """Scales of the rows: factors, and powers of a free plan's deviation. They are tuned on recorded problems, where
+    the result is flat around these values."""
 
     dynamics: float = 450.0
     acceleration: float = 8.5
@@ -71,30 +71,31 @@ class _Scales:
 
 SCALES = _Scales()
 _LEAST = 1e-4
-"""No row holds on less than this."""
+"""Least scale of a row."""
 _NONE = 1e-9
-"""A multiplier below this is none."""
+"""Magnitude below which a multiplier counts as zero."""
 _SMALL = 1e-6
 """Added to variances, so that none is zero."""
 
 
 class SparseProgram(Question):
-    """One compiled problem size, in sparse form. The patterns never change.
+    """Compiled program of one size, in sparse form. The sparsity patterns never change.
 
     min 1/2 x' P x + q' x  s.t.  l <= A x <= u
 
     Attributes
     ----------
     P, A : entries of P's upper triangle and of A, column by column in `patterns`.
-    q, l, u : the rest of the program.
-    hold : what each row was multiplied by; a multiplier times this is the one of the row in its own unit.
+    q, l, u : the other arrays of the program.
+    hold : scale of each row; a multiplier times this is the multiplier of the row in its own unit.
     patterns : (row indices, column pointers) of P and of A, and A's shape.
-    answer, multipliers : to be filled in with x and its multipliers, for `judge`.
-    inputs_and_slack : (dz, slack) of the answer, as the condensed program has them.
-    primal, dual, first, gap : of that answer, states eliminated: greatest violation [m, or the row's unit], greatest
-        entry of the gradient of the Lagrangian, and that by the first input, sum of multiplier times room, (1,) each.
-    miss : how far each row but the dynamics is from where it should be: from its bound if it has a multiplier, else
-        beyond its bounds, in the row's unit.
+    answer, multipliers : x and its multipliers, inputs of `judge`.
+    inputs_and_slack : (dz, slack) of the solution, in the order of the condensed program.
+    primal, dual, first, gap : quality of the solution with eliminated states, (1,) each: greatest violation [m, or the
+        row's unit], greatest entry of the gradient of the Lagrangian, that entry for the first input, and the sum of
+        multiplier times room.
+    miss : error of each row except the dynamics, in the row's unit: distance from its bound if it has a multiplier,
+        else excess over its bounds.
     """
 
     def __init__(
@@ -117,14 +118,14 @@ class SparseProgram(Question):
         self._judge = bind(judged, given, found)
 
     def judge(self) -> None:
-        """How good `answer` and `multipliers` are: fills the attributes after them."""
+        """Measure the quality of `answer` and `multipliers`, and fill the attributes after them."""
         self._judge()
 
 
 def build_sparse(
     problem: FilterProblem, inputs: FloatArray, settings: FilterSettings, model: StageModel | None = None
 ) -> SparseProgram:
-    """The program for one problem, linearised about the rollout of `inputs` (N, 2); pure, without a solver."""
+    """The program of one problem, linearised about the rollout of `inputs` (N, 2), without a solver."""
     curved = problem.curvature is not None and bool(np.any(problem.curvature))
     capacity = max(int(problem.occupancy.shape[1]), 1)
     program = SparseProgram(settings, capacity, curved, problem.reference is not None, model)
@@ -164,8 +165,10 @@ def _compiled(
 
 
 def _rows(settings: FilterSettings, way: Linearised, curvature: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-    """Rows (one for each in the head of this file), their bounds, and how hard they hold on; `curvature`: the
-    diagonal of the objective's Hessian (3 moves, 1)."""
+    """Rows in the order of the module's docstring, their bounds, and their scales.
+
+    `curvature` is the diagonal of the objective's Hessian (3 moves, 1).
+    """
     moves, n, c = len(settings.moves), settings.stages, SCALES
     of = [j for j, length in enumerate(settings.moves) for _ in range(length)]
     free = _deviations(settings, way, curvature)
@@ -233,7 +236,7 @@ def _rows(settings: FilterSettings, way: Linearised, curvature: ca.SX) -> tuple[
 
 
 def _deviations(settings: FilterSettings, way: Linearised, curvature: ca.SX) -> list[ca.SX]:
-    """Standard deviations (4, 1) of the states at each stage, for inputs whose variance is 1 / curvature."""
+    """Standard deviations (4, 1) of the states at each stage, for inputs with variance 1 / curvature."""
     covariance, out, k = ca.SX(4, 4), [], 0
     for j, length in enumerate(settings.moves):
         for _ in range(length):
@@ -246,9 +249,9 @@ def _deviations(settings: FilterSettings, way: Linearised, curvature: ca.SX) -> 
 
 
 def _judged(settings: FilterSettings, of_p: ca.Sparsity, of_a: ca.Sparsity) -> ca.Function:
-    """(P, A, q, l, u, hold, x, y) to ((dz, slack), primal, dual, first, gap, miss).
+    """Function from (P, A, q, l, u, hold, x, y) to ((dz, slack), primal, dual, first, gap, miss).
 
-    Forward for the states that the inputs lead to, backward for the gradient by the inputs.
+    A forward pass computes the states from the inputs, and a backward pass the gradient by the inputs.
     """
     moves, n = len(settings.moves), settings.stages
     inputs, states, dynamics = 2 * moves, 4 * n, 4 * n
@@ -269,7 +272,7 @@ def _judged(settings: FilterSettings, of_p: ca.Sparsity, of_a: ca.Sparsity) -> c
     low, high, multiplier = lower[dynamics:], upper[dynamics:], y[dynamics:]
     beyond = ca.fmax(low - values, values - high) / hold[dynamics:]
     room = ca.if_else(multiplier > 0, high - values, values - low)
-    # A bound that is not there has no multiplier but for rounding.
+    # The multiplier of an absent bound is zero up to rounding.
     gap = ca.sum1(ca.if_else(ca.fabs(room) < INFINITY / 2, ca.fabs(multiplier * room), 0))
     symmetric = p + p.T - ca.diag(ca.diag(p))
     gradient = symmetric @ full + q + a[dynamics:, :].T @ multiplier

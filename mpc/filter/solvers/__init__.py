@@ -1,1 +1,1 @@
-"""How the filter solves it: the solvers, what they start from, and the steps from one guess to the next."""
+"""Solvers of the filter's program: backends, warm starts, and the steps from one guess to the next."""

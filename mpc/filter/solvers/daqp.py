@@ -1,8 +1,7 @@
-"""Solves the filter's quadratic programs with CasADi's bundled DAQP; the answers are never taken on trust.
+"""DAQP backend of the filter's quadratic programs, through CasADi, with independent checks of the solutions.
 
-DAQP is a dual active-set method: exact to rounding, without memory and with nothing to tune. What comes back is
-judged by residuals that are computed here, from the data that were asked for; an object that has raised is thrown
-away.
+DAQP is a dual active-set method: exact to rounding, without state and parameters. Residuals of a solution are computed
+here from the program's data. A solver object that has raised an error is discarded.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ __all__ = ["FAILED", "GREATEST", "Answer", "QuadraticSolver", "Solver", "residua
 Form = TypeVar("Form", contravariant=True)
 
 GREATEST = 1e6
-"""No unknown of a sane program is larger."""
+"""Largest magnitude of an unknown in a valid solution."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,10 +32,10 @@ class Answer:
 
     Attributes
     ----------
-    x : unknowns; None where there is no solution.
+    x : unknowns; None without a solution.
     primal, dual : greatest residuals of feasibility and of stationarity.
-    active : bounds and rows that hold with equality.
-    exact : whether the residuals are within the accuracy; a step that is not may be tried, and settles nothing.
+    active : number of active bounds and rows.
+    exact : whether the residuals are within the accuracy. An inexact step may be tried, but does not end the descent.
     """
 
     x: FloatArray | None
@@ -47,26 +46,26 @@ class Answer:
 
 
 FAILED = Answer(None, np.inf, np.inf, 0)
-"""There is no answer."""
+"""Result without a solution."""
 
 
 class QuadraticSolver(Protocol[Form]):
-    """Solves one program after the other, in the form that it is good at."""
+    """Solver of quadratic programs in one form, called for one program after the other."""
 
     def prepare(self, program: Form) -> None:
-        """Compile ahead of the first use."""
+        """Compile in advance."""
         ...
 
     def begin(self, frames: int | None) -> None:
-        """A new descent: the last answer is so many frames old, or (None) has nothing to do with it."""
+        """Start a new descent; the last solution is `frames` frames old, or unrelated (None)."""
         ...
 
     def solve(self, program: Form) -> Answer:
-        """Never raises."""
+        """Solve the program; never raises an error."""
         ...
 
     def reset(self) -> None:
-        """Forget everything."""
+        """Forget all state."""
         ...
 
 
@@ -87,14 +86,14 @@ class Solver:
         self._slots = {}
 
     def prepare(self, program: Program) -> None:
-        """Compile ahead of the first use."""
+        """Compile in advance."""
         self._slots[id(program)] = self._compile(program)
 
     def begin(self, frames: int | None) -> None:
-        """Nothing: it starts from scratch, each time."""
+        """Nothing to do, because DAQP has no warm start."""
 
     def solve(self, program: Program) -> Answer:
-        """From scratch, each time."""
+        """Solve the program without a warm start."""
         if not sane(program):
             return FAILED
         try:
@@ -103,7 +102,7 @@ class Solver:
             slot = self._slots[id(program)]
             slot.x[:] = np.nan
             slot.call()
-        except Exception:  # whatever a solver raises, the answer is that there is none
+        except Exception:  # any error of a solver means that there is no solution
             self.reset()
             return FAILED
         primal, dual = residuals(program, slot.x, slot.bounds, slot.rows)
@@ -129,7 +128,7 @@ class Solver:
 
 @dataclass(frozen=True, slots=True)
 class _Slot:
-    """A compiled solver bound to its program, which it keeps alive so that the id stays its own."""
+    """A compiled solver bound to its program; the reference keeps the program's id unique."""
 
     program: Program
     call: Callable[[], None]
@@ -148,7 +147,7 @@ def residuals(program: Program, x: FloatArray, bounds: FloatArray, rows: FloatAr
 
 
 def sane(program: Program) -> bool:
-    """Finite data and ordered bounds; NaN fails every comparison."""
+    """Whether data are finite and bounds ordered; NaN fails every comparison."""
     total = program.g.sum() + program.A.sum() + program.H.sum()
     ordered = (program.lower <= program.upper).all() and (program.low <= program.high).all()
     return bool(np.isfinite(total) and ordered)

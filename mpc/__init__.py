@@ -1,6 +1,6 @@
-"""How to choose inputs over a horizon: the predictive safety filter and the planners.
+"""Choice of inputs over a horizon: the predictive safety filter and the planners.
 
-Nothing is imported before it is used.
+Modules are imported on use only.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""`CEMPolicy`: a sampling planner that drives by itself, with SB3's `predict`.
+"""`CEMPolicy`: a sampling planner as a policy, with SB3's `predict`.
 
-What it plans for is a `Task`: how to read states from observations, and what is to be small. `ParkingTask` is the one
-for `parking-v0`; `CEMPolicy.parking(env)` puts model, planner and task together. `HighwayTask` and
-`CEMPolicy.highway(env, model)` are the same for meta-actions among traffic, `RoundaboutTask` and
-`CEMPolicy.roundabout(env, model)` in a roundabout.
+A `Task` defines how states are read from observations, and the cost. `ParkingTask` is the one for `parking-v0`;
+`CEMPolicy.parking(env)` combines model, planner and task. `HighwayTask` and `CEMPolicy.highway(env, model)` are for
+meta-actions among traffic, `RoundaboutTask` and `CEMPolicy.roundabout(env, model)` for a roundabout.
 """
 
 from __future__ import annotations
@@ -30,22 +29,22 @@ __all__ = ["CEMPolicy", "Planner", "Task"]
 
 
 class Planner(Protocol):
-    """What searches: `CEM`, `MPPI` or `CategoricalCEM`."""
+    """Planner of a policy: `CEM`, `MPPI` or `CategoricalCEM`."""
 
     def plan(self, state: Any, cost: Cost, memory: PlanMemory | None = None) -> Plan:
-        """The cheapest plan that was found."""
+        """The cheapest plan of the search."""
         ...
 
 
 class Task(Protocol):
-    """What a policy plans for."""
+    """Task of a policy: states and cost."""
 
     def read(self, observation: Any) -> tuple[Any, Any, bool]:
-        """States (E, d), a mark (E, k) that is another in another episode, and whether there was one state alone."""
+        """States (E, d), episode marks (E, k) that change with the episode, and whether there was a single state."""
         ...
 
     def cost(self, observation: Any, started: Any) -> Cost:
-        """What is to be small now; `started` (E,) are the rows in which an episode begins."""
+        """The cost in this decision; `started` (E,) marks the rows in which an episode begins."""
         ...
 
 
@@ -53,16 +52,17 @@ Memory: TypeAlias = tuple[PlanMemory, Any]
 
 
 class CEMPolicy:
-    """Plans at each decision, and does the first input of the plan.
+    """Plans in each decision, and executes the first input of the plan.
 
     Parameters
     ----------
-    planner : what searches. task : what it searches for.
+    planner : the planner.
+    task : the task.
 
     Attributes
     ----------
     last_plan : the last plan, of all environments; None before the first.
-    fallbacks : decisions so far, over all environments, in which no plan was usable and the fallback acted.
+    fallbacks : number of decisions, over all environments, in which no plan was usable and the fallback acted.
 
     Examples
     --------
@@ -92,17 +92,17 @@ class CEMPolicy:
 
         Parameters
         ----------
-        env : the environment or VecEnv; obstacles are read from it, and the bicycle where there is no model.
-        model : of the states of `dynamics.learned.tasks.parking_state`; the true bicycle by default.
-        settings : how to search; `parking_settings()` by default.
-        task : what is to be small; `ParkingTask(env)` by default.
-        temperature : of `MPPI`, which searches in place of `CEM` where one is given, by default with the settings
+        env : the environment or VecEnv; obstacles are read from it, and without `model` the bicycle.
+        model : model of the states of `dynamics.learned.tasks.parking_state`; the true bicycle by default.
+        settings : settings of the search; `parking_settings()` by default.
+        task : the task; `ParkingTask(env)` by default.
+        temperature : temperature of `MPPI`, which replaces `CEM` if it is given, by default with the settings
             `parking_settings("mppi")`.
 
         Raises
         ------
         ConfigError
-            If the environment is not parking with continuous actions.
+            If the environment is not parking with continuous actions, or the model has other dimensions.
         """
         if settings is None:
             settings = parking_settings("quality" if temperature is None else "mppi")
@@ -130,13 +130,14 @@ class CEMPolicy:
         Parameters
         ----------
         env : the environment.
-        model : of the scene, with as many vehicles as the observation shows.
-        settings : how to search. task : what is to be small.
+        model : model of the scene, with as many vehicles as the observation.
+        settings : settings of the search.
+        task : the task; `HighwayTask(env)` by default.
 
         Raises
         ------
         ConfigError
-            If the model is of other actions or scenes than the environment has.
+            If the model has another number of actions or vehicles than the environment.
         """
         task = task if task is not None else HighwayTask(env)
         if (model.pair.action_dim, model.vehicles) != (task.actions, task.vehicles):
@@ -161,13 +162,14 @@ class CEMPolicy:
         Parameters
         ----------
         env : the environment.
-        model : of the scene, with two rows for each other vehicle that the observation shows.
-        settings : how to search; `roundabout_settings()` by default. task : what is to be small.
+        model : model of the scene, with two rows for each other vehicle of the observation.
+        settings : settings of the search; `roundabout_settings()` by default.
+        task : the task; `RoundaboutTask(env)` by default.
 
         Raises
         ------
         ConfigError
-            If the model is of other actions or scenes, or of another way out than the environment has.
+            If the model has another number of actions or rows, or another exit, than the environment.
         """
         task = task if task is not None else RoundaboutTask(env)
         have, needs = (model.actions, model.rows, model.exit_arm), (task.actions, task.rows, task.exit_arm)
@@ -182,7 +184,7 @@ class CEMPolicy:
         return cls(planner, task)
 
     def reset(self) -> None:
-        """Forget the last plans; done by itself where an episode begins."""
+        """Forget the last plans; happens automatically at the start of an episode."""
         self._memory: Memory | None = None
         self.last_plan: Plan | None = None
         self.fallbacks = 0
@@ -194,10 +196,10 @@ class CEMPolicy:
 
         Parameters
         ----------
-        observation : of one environment, or a batch.
-        state : what the last call returned; without it the policy's own memory of the last call is used.
-        episode_start : which environments have just been reset; without it an episode begins where the goal changes.
-        deterministic : not looked at: plans depend on the observations since the start of the episode alone.
+        observation : observation of one environment, or a batch.
+        state : state returned by the last call; by default the policy's own memory of that call.
+        episode_start : mask of environments after a reset; by default an episode begins when the goal changes.
+        deterministic : ignored; plans depend only on the observations since the start of the episode.
 
         Returns
         -------
@@ -212,7 +214,7 @@ class CEMPolicy:
         return plan.action[0] if single else plan.action, self._memory
 
     def _recall(self, e: int, mark: Any, state: Any, episode_start: Any) -> tuple[PlanMemory | None, Any]:
-        """The memory to plan with, and the rows in which an episode begins."""
+        """The memory for the next plan, and the rows in which an episode begins."""
         last = self._memory if state is None else state
         if last is None or len(last[0].count) != e:
             return None, np.ones(e, bool)

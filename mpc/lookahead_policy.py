@@ -1,7 +1,7 @@
-"""`LookaheadPolicy`: drives by knowing what will happen, a measure of what driving well is worth.
+"""`LookaheadPolicy`: drives with exact knowledge of the future, an upper reference for the value of good driving.
 
-On a straight highway nothing is random after the reset, so the compiled copy of highway-env, started from the
-simulator's true state, tells the future exactly: that of every vehicle, whatever the ego does. The policy searches it.
+On a straight highway nothing is random after the reset. So the compiled copy of highway-env, started from the
+simulator's true state, predicts every vehicle exactly for all actions of the ego. The policy searches these futures.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from dynamics.state import FloatArray, IntArray
 __all__ = ["LookaheadPolicy"]
 
 _CRASH = -100.0
-"""What it adds to a value that the episode ends in a crash."""
+"""Value added for an episode that ends in a crash."""
 _KEY = (X, Y, HEADING, SPEED, TARGET_SPEED)
 
 
@@ -31,13 +31,13 @@ class LookaheadPolicy:
     Parameters
     ----------
     env : `highway-v0` or `highway-fast-v0` with `DiscreteMetaAction`: highway-env's own, or a `CompiledHighwayEnv`.
-    depth : decisions that are looked ahead.
-    beam : futures that are followed from each decision to the next, at most.
+    depth : number of decisions of the horizon.
+    beam : largest number of futures that are kept from each decision to the next.
 
     Raises
     ------
     ConfigError
-        If the compiled highway cannot run the environment, or its actions are not meta-actions.
+        If the compiled highway does not support the environment, or its actions are not meta-actions.
 
     Examples
     --------
@@ -70,7 +70,7 @@ class LookaheadPolicy:
         self._spare = np.zeros((self._actions + 1, 2))
 
     def _futures(self, env_id: str, count: int, config: Any) -> Any:
-        """So many futures: what has `worlds`, `num_envs` and `step_first` of a `Simulator`."""
+        """A batch of `count` futures, with `worlds`, `num_envs` and `step_first` of a `Simulator`."""
         return Simulator(env_id, count, config)
 
     def _copy(self, source: Any, target: Any, rows: Any, to: Any) -> None:
@@ -79,26 +79,25 @@ class LookaheadPolicy:
             b[to] = a[rows]
 
     def _begin(self, start: Simulator, parents: Any) -> None:
-        """Put the state now into the first future."""
+        """Copy the present state into the first future."""
         for a, b in zip(start.worlds, parents.worlds, strict=True):
             b[0] = a[0]
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
-        """The first action of the best future that was found; the observation is not looked at."""
+        """The first action of the best future; the observation is ignored."""
         return np.asarray(int(self.action_scores(observation).argmax())), state
 
     def action_scores(self, observation: Any) -> FloatArray:
-        """What the best future that was found is worth after each action, (actions,): its rewards, and what a crash
-        costs."""
+        """Value of the best future after each action, (actions,): its rewards, and the penalty of a crash."""
         start = self._start()
         parents, children, n = self._parents, self._children, 1
         self._begin(start, parents)
         values, first = np.zeros(1), np.full(1, -1)
         best = np.full(self._actions, -np.inf)
         for level in range(self.depth):
-            # Every future goes on with every action that leads elsewhere.
+            # Expand every future by every action with a distinct result.
             source, tried = (self._alike(parents, n) == np.arange(self._actions)).nonzero()
             self._copy(parents, children, source, np.arange(len(source)))
             given = np.zeros(children.num_envs, np.int64)
@@ -121,13 +120,13 @@ class LookaheadPolicy:
         return found
 
     def _alike(self, futures: Any, n: int) -> IntArray:
-        """The first action that leads to the same as each, in each of the first n futures, (n, actions)."""
+        """For each action the first one with the same result, in each of the first n futures, (n, actions)."""
         first = np.empty((n, self._actions), np.intp)
         alike(futures.worlds, self._live.scenario.rules, n, self._spare, first)
         return first
 
     def _kept(self, going: Any, worth: FloatArray, begun: Any) -> Any:
-        """The futures that are followed, each once: the best of every kind in turn."""
+        """The futures to keep, without duplicates, taking the best of each group in turn."""
         worlds = self._children.worlds
         order = going[np.argsort(-worth[going], kind="stable")]
         keys = np.concatenate(
@@ -135,7 +134,7 @@ class LookaheadPolicy:
         )
         _, unique = np.unique(keys, axis=0, return_index=True)
         order = order[np.sort(unique)]
-        # Of those that are bound for one lane at one speed after one first action, the others wait for their turn.
+        # A group has one first action, target lane and target speed; its next members follow in later turns.
         groups = np.stack([begun[order], worlds.g[order, TARGET, 0], worlds.f[order, TARGET_SPEED, 0]], axis=1)
         _, group = np.unique(groups, axis=0, return_inverse=True)
         turn = np.zeros(len(order), np.int64)

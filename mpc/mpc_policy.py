@@ -1,12 +1,13 @@
-"""`MPCPolicy`: model predictive control that drives by itself, with SB3's `predict`.
+"""`MPCPolicy`: model predictive control as a policy, with SB3's `predict`.
 
-At each decision it chooses a lane, and then solves the predictive filter's problem with a reference (that lane, the
-desired speed) and, as the proposal, what would track it on an empty road: clear of every place where the others can be
-under the assumptions, on the road, and able to stop. A reference alone would follow too far behind: the plan then ends
-in a stop, and a constant low speed costs the least. It reads the simulator's true state.
+In each decision it chooses a lane, and then solves the predictive filter's problem. The reference is that lane and the
+desired speed. The proposal is the input that would track them on an empty road. The plan stays on the road, clear of
+all reachable rectangles of the others within the assumptions, and able to stop. With a reference alone the ego would
+follow too far behind: the plan ends in a stop, so a constant low speed costs the least. The policy reads the
+simulator's true state.
 
-Lanes are compared by room: the way to the next vehicle ahead, and what it will have gained in `_LOOK` seconds at its
-present speed. A lane is changed for `_WORTH` metres of room, and only where the change leaves followers their distance.
+Lanes are compared by room: the distance to the next vehicle ahead, plus its change in `_LOOK` seconds at its present
+speed. A lane change needs a gain of `_WORTH` metres of room, and has to leave followers their distance.
 """
 
 from __future__ import annotations
@@ -34,19 +35,19 @@ __all__ = ["MPCPolicy"]
 _LOOK = 4.0
 _WORTH = 1.0
 _FAR = 200.0
-"""Room beyond which a lane is as good as empty [m]."""
+"""Room beyond which a lane counts as empty [m]."""
 _STAGE, _HORIZON = 0.2, 6.0
-"""Stage and horizon of the plan [s]; a stage is no shorter than a decision period."""
+"""Stage and horizon of the plan [s]; a stage is at least as long as a decision period."""
 _LATE = 0.0
-"""How much later a follower reacts to a car that comes into its lane [s]."""
+"""Additional reaction time of a follower to a car that enters its lane [s]."""
 _DRIFT = 2.5
-"""Lateral speed at which a new lane is approached [m/s]."""
+"""Lateral speed of the reference towards a new lane [m/s]."""
 _AHEAD = 5
-"""Stage of the way to the lane that it steers to now."""
+"""Stage of the lateral reference that the proposal steers to."""
 _BEND = 4.0
-"""Lateral acceleration at which bends are taken [m/s^2]."""
+"""Lateral acceleration that limits the speed in curves [m/s^2]."""
 _NEAREST = 12
-"""Vehicles that a plan looks at."""
+"""Largest number of vehicles in a plan's problem."""
 
 
 class MPCPolicy:
@@ -55,16 +56,16 @@ class MPCPolicy:
     Parameters
     ----------
     env : the highway-env environment, wrapped or not.
-    speed : what it would like to drive [m/s]; where the policy has no throttle, it keeps the speed that it has.
-    buffer : (longitudinal, lateral) clearance that plans keep [m].
-    assumptions : what the others may do; `Assumptions.moderate()` by default.
-    model : what plans are made with (see `PredictiveFilter`); highway-env's bicycle by default.
+    speed : desired speed [m/s]; without throttle the ego keeps its present speed.
+    buffer : (longitudinal, lateral) clearance of plans [m].
+    assumptions : assumptions about the others; `Assumptions.moderate()` by default.
+    model : dynamics model of plans (see `PredictiveFilter`); highway-env's bicycle by default.
     backend : solver of the quadratic programs, "daqp" or "osqp".
 
     Attributes
     ----------
-    last_result : the last plan (`FilterResult`), None before the first and where the scene could not be read.
-    fallbacks : decisions so far in which no plan held, and the ego braked in its lane.
+    last_result : the last plan (`FilterResult`); None before the first, and if the scene could not be read.
+    fallbacks : number of decisions without a usable plan, in which the ego braked in its lane.
 
     Raises
     ------
@@ -104,7 +105,7 @@ class MPCPolicy:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last plan and lane; done by itself when the environment starts a new episode."""
+        """Forget the last plan and lane; happens automatically at the start of an episode."""
         if self._filter is not None:
             self._filter.reset()
         self._lane: int | None = None
@@ -114,14 +115,14 @@ class MPCPolicy:
     def predict(
         self, observation: Any = None, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Any, Any]:
-        """The next action, shape (size,) float32, and `state` as it came in.
+        """The next action, shape (size,) float32, and `state` unchanged.
 
-        The observation is not read: this policy sees the simulator's true state.
+        The observation is ignored: this policy reads the simulator's true state.
 
         Raises
         ------
         SceneError
-            If the environment's road is missing or not supported.
+            If the environment's road is missing or not supported, or the scene has values that are not finite.
         """
         scene = self._reader.read()
         if self._reader.road is not self._road:
@@ -139,7 +140,7 @@ class MPCPolicy:
         return self.actuators.normalised(self._brake(scene)), state
 
     def _choose(self, scene: Scene) -> tuple[int, Surroundings]:
-        """The lane to drive in."""
+        """The lane to drive in, and the reachable intervals of the others."""
         road, ego = scene.road, scene.ego_road
         around = Surroundings(scene.others, scene.others_road, road, self.assumptions, scene.dt)
         here = road.lane_at(float(ego[RoadState.R]))
@@ -162,7 +163,7 @@ class MPCPolicy:
         return best, around
 
     def _free(self, scene: Scene, around: Surroundings, here: int, lane: int) -> bool:
-        """Whether the lane has nobody alongside, and leaves its followers the distance that RSS asks for."""
+        """Whether no vehicle is alongside in the lane, and its followers keep the RSS distance."""
         if lane == here or not around.lane.size:
             return True
         a, ego = self.assumptions, scene.ego_road
@@ -210,7 +211,7 @@ class MPCPolicy:
         rows = self._rows(scene, around, here, lane, edges)
         boxes = rectangles(around, rows, settings)
         times = scene.dt * np.array(settings.ends)
-        # Followers have been left the distance to brake in (`_free`), and do not accelerate into it.
+        # Followers have their braking distance (`_free`), and are assumed not to accelerate into it.
         behind = np.flatnonzero(scene.others_road[rows, RoadState.S] < ego[RoadState.S])
         back = rows[behind]
         w = np.maximum(scene.others_road[back, RoadState.SPEED], 0.0)
@@ -234,7 +235,9 @@ class MPCPolicy:
         return self._filter.solve(problem, elapsed=max(1, round(period / scene.dt)))
 
     def _rows(self, scene: Scene, around: Surroundings, here: int, lane: int, edges: tuple[float, float]) -> Any:
-        """Those that the plan has to keep clear of: the nearest between the edges, without own followers."""
+        """Indices of the vehicles in the problem: the nearest ones between the edges, without followers in the own
+        lane.
+        """
         ds = scene.others_road[:, RoadState.S] - scene.ego_road[RoadState.S]
         behind = ds < -0.5 * scene.ego[Vehicle.LENGTH]
         center = scene.road.centers[lane]
@@ -244,7 +247,7 @@ class MPCPolicy:
         return rows[np.argsort(np.abs(ds[rows]), kind="stable")][:_NEAREST]
 
     def _wish(self, scene: Scene, speed: float, r: float) -> FloatArray:
-        """What it would do on an empty road: track a speed [m/s] and a lateral position [m]."""
+        """Proposal on an empty road: track a speed [m/s] and a lateral position [m]."""
         low, high = self.actuators.acceleration if self.actuators.longitudinal else (0.0, 0.0)
         a = float(np.clip(KP_SPEED * (speed - scene.ego_road[RoadState.SPEED]), low, high))
         return np.array([a, float(np.clip(self._wheel(scene, r), *self.actuators.steering))])
@@ -253,7 +256,7 @@ class MPCPolicy:
         return steer(scene.road, scene.ego_road, r, scene.dt)
 
     def _brake(self, scene: Scene) -> FloatArray:
-        """Brake in the lane that the ego is in, as hard as the actuators can."""
+        """Brake in the ego's present lane, as hard as the actuators can."""
         road, ego = scene.road, scene.ego_road
         wheel = self._wheel(scene, float(road.centers[road.lane_at(float(ego[RoadState.R]))]))
         v = float(ego[RoadState.SPEED])

@@ -1,1 +1,1 @@
-"""Planners that sample: the Cross-Entropy Method and its relatives."""
+"""Sampling planners: the Cross-Entropy Method and its variants."""

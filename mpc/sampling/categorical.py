@@ -1,10 +1,10 @@
-r"""The Cross-Entropy Method over meta-actions: a plan is a sequence of choices, its distribution a table.
+r"""The Cross-Entropy Method over meta-actions: a plan is a sequence of choices, with a table as distribution.
 
 Notation
 --------
-A plan is B choices among A actions, each held for `hold` decisions. N plans are drawn from independent probabilities
-p (B, A); the K cheapest give their frequencies f, and p moves to momentum p + (1 - momentum) f. Of small problems,
-A^B <= `samples`, all plans are looked at instead, once.
+A plan is B choices among A actions, each repeated for `hold` decisions. N plans are drawn from independent
+probabilities p (B, A). The K cheapest give their frequencies f, and p becomes momentum p + (1 - momentum) f. In small
+problems, A^B <= `samples`, all plans are evaluated instead, once.
 Source: Rubinstein 1999, for a product of categorical distributions.
 """
 
@@ -28,14 +28,16 @@ _TABLES = 61
 
 @dataclass(frozen=True, slots=True)
 class CategoricalSettings:
-    """How choices are searched for.
+    """Settings of the search over choices.
 
     Attributes
     ----------
-    blocks, hold, look : choices in a plan, decisions for which each is held, and between looked-at states.
-    iterations, samples, elites : of the search.
-    momentum : share of the old probabilities in the new ones. floor : least probability of an action.
-    time_limit : greatest time of a search [s], as in `PlannerSettings`. seed : of the planner's random numbers.
+    blocks, hold, look : choices in a plan, decisions of each choice, and decisions between evaluated states.
+    iterations, samples, elites : iterations of the search, plans and cheapest plans of each.
+    momentum : share of the old probabilities in the new ones.
+    floor : least probability of an action.
+    time_limit : greatest time of a search [s], as in `PlannerSettings`.
+    seed : seed of the planner's random numbers.
     """
 
     blocks: int = 4
@@ -61,21 +63,21 @@ class CategoricalSettings:
             raise ConfigError(f"time_limit must be positive [s] or None, got {self.time_limit!r}")
 
     def replace(self, **changes: Any) -> CategoricalSettings:
-        """The same with some values changed."""
+        """A copy with some values changed."""
         return replace(self, **changes)
 
 
 class CategoricalCEM:
     """The Cross-Entropy Method over `actions` choices.
 
-    The model sees a choice as one input, its number: `action_dim` is 1.
+    The model receives a choice as one input, its index: `action_dim` is 1.
 
     Parameters
     ----------
-    model : anything with `state_dim`, `action_dim` = 1 and `step(states, actions)`.
-    actions : how many choices there are.
-    settings : how to search.
-    fallback : choices (E,) for states in which no plan has a finite cost; 0 by default.
+    model : a model with `state_dim`, `action_dim` = 1 and `step(states, actions)`.
+    actions : number of choices.
+    settings : settings of the search.
+    fallback : choices (E,) for states without a plan of finite cost; 0 by default.
 
     Examples
     --------
@@ -111,7 +113,7 @@ class CategoricalCEM:
             self._uniform = generator.random((_TABLES, s.samples, s.blocks), dtype=np.float32)
 
     def plan(self, state: Any, cost: Cost, memory: PlanMemory | None = None) -> Plan:
-        """The cheapest plan that was found; parameters and errors as of `mpc.sampling.cem.SamplingPlanner.plan`."""
+        """The cheapest plan of the search; parameters and errors as in `mpc.sampling.cem.SamplingPlanner.plan`."""
         begin = perf_counter()
         states, single = read_states(self.model, state)
         s, e, rows = self.settings, len(states), np.arange(len(states))
@@ -131,7 +133,7 @@ class CategoricalCEM:
                 break
             samples = self._draw(p, memory, i)
             if i == 0:
-                # The plan that is under way, one decision later, is among what is compared.
+                # The present plan, one decision later, is also a candidate.
                 samples = np.concatenate([samples, self._later(memory)], axis=1)
             costs, reached = evaluate(self.model, cost, states, samples[..., None], self._grid)
             order = np.argsort(costs, axis=1, kind="stable")[:, : s.elites]
@@ -165,7 +167,7 @@ class CategoricalCEM:
         return plan.single() if single else plan
 
     def _draw(self, p: Any, memory: PlanMemory, i: int) -> Any:
-        """Samples (E, N, B) as numbers of choices."""
+        """Samples (E, N, B) as indices of choices."""
         if self._all is not None:
             return np.broadcast_to(self._all, (len(p), *self._all.shape))
         u = self._uniform[(memory.count * self.settings.iterations + i) % _TABLES]
@@ -173,7 +175,7 @@ class CategoricalCEM:
         return (u[..., None] > edges).sum(axis=-1).astype(np.float32)
 
     def _later(self, memory: PlanMemory) -> Any:
-        """The last plan one decision later, (E, 1, B); its last choice goes on. All zeros without one."""
+        """The last plan one decision later, (E, 1, B); its last choice is repeated. All zeros without a plan."""
         s, plan = self.settings, memory.mean[..., 0]
         if s.hold == 1:
             plan = np.concatenate([plan[:, 1:], plan[:, -1:]], axis=1)

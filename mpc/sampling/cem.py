@@ -1,16 +1,16 @@
-r"""Planners that sample: the Cross-Entropy Method, iCEM and several of them at once.
+r"""Sampling planners: the Cross-Entropy Method, iCEM and several restarts of it.
 
 Notation
 --------
-A plan is B blocks of m inputs in [-1, 1], each held for `hold` decisions. In every iteration each of R restarts draws N
-plans from its own normal distribution, cuts them down to the bounds, and moves the distribution to its K cheapest
-(the *elites*). All restarts, of all states that are planned for, go through the model in one call. The plan with the
-least cost of all iterations and restarts is the answer.
+A plan is B blocks of m inputs in [-1, 1], each repeated for `hold` decisions. In every iteration each of R restarts
+draws N plans from its own normal distribution, clips them to the bounds, and moves the distribution to its K cheapest
+(the *elites*). All restarts, of all states, go through the model in one call. The result is the plan with the least
+cost of all iterations and restarts.
 
-- Plain CEM: white noise, nothing carried over. Source: Rubinstein 1999; the planner of highway-env's parking notebook.
-- iCEM: coloured noise, elites kept between iterations and decisions, the last plan as the next mean, fewer and fewer
-  samples. Source: Pinneri et al. 2020.
-- Multi-start: R > 1; only the first restart starts from the last plan. What is cheap only nearby is not the end of it.
+- Plain CEM: white noise, no memory. Source: Rubinstein 1999; the planner of highway-env's parking notebook.
+- iCEM: coloured noise, elites kept between iterations and decisions, the last plan as the next mean, and decreasing
+  numbers of samples. Source: Pinneri et al. 2020.
+- Multi-start: R > 1. Only the first restart starts from the last plan, so the search is not limited to a local minimum.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ from mpc.sampling.sampler_settings import PlannerSettings
 __all__ = ["CEM", "Eliting", "PlannerSettings", "SamplingPlanner", "Update"]
 
 _TABLES = 61
-"""Noise tables; prime, so that searches of any number of iterations run through all of them."""
+"""Number of noise tables; prime, so that searches with any number of iterations use all of them."""
 
 
 class Update(Protocol):
-    """How a distribution moves to what was sampled from it."""
+    """Function that moves a distribution to its samples."""
 
     def __call__(self, samples: Any, costs: Any, std: Any) -> tuple[Any, Any]:
         """Mean and standard deviation, (..., B, m) each.
 
         Parameters
         ----------
-        samples : (..., K, B, m), the cheapest first. costs : (..., K); samples of infinite cost have no weight. Where
-            there is no other, what is returned is not used.
-        std : deviation that they were drawn with, (..., B, m).
+        samples : (..., K, B, m), the cheapest first.
+        costs : (..., K); samples of infinite cost have no weight. If all costs are infinite, the result is not used.
+        std : deviation of the sampled distribution, (..., B, m).
         """
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Eliting:
-    """Mean and deviation of the samples: the elites alone are handed to it."""
+    """Mean and deviation of the samples, which are the elites."""
 
     def __call__(self, samples: Any, costs: Any, std: Any) -> tuple[Any, Any]:
         """See `Update`."""
@@ -62,15 +62,20 @@ class Eliting:
 
 
 class SamplingPlanner:
-    """The search that all planners of continuous inputs share.
+    """Search that all planners of continuous inputs share.
 
     Parameters
     ----------
-    model : anything with `state_dim`, `action_dim` and `step(states, actions)` (see `dynamics.learned.models.model`).
-    settings : how to search.
-    update : how the distribution moves to the elites.
-    fallback : actions for states in which no plan has a finite cost; zeros by default.
+    model : a model with `state_dim`, `action_dim` and `step(states, actions)` (see `dynamics.learned.models.model`).
+    settings : settings of the search.
+    update : function that moves the distribution to the elites.
+    fallback : actions for states without a plan of finite cost; zeros by default.
     low, high : bounds of the inputs, each broadcastable to (m,); by default [-1, 1], and never wider.
+
+    Raises
+    ------
+    ConfigError
+        If a bound has the wrong shape or value.
     """
 
     def __init__(
@@ -96,18 +101,18 @@ class SamplingPlanner:
         self._starts = NoiseBank((s.restarts, s.blocks, m), _TABLES, max(2.0, s.colour), s.seed + 1)
 
     def plan(self, state: Any, cost: Cost, memory: PlanMemory | None = None) -> Plan:
-        """The cheapest plan that was found.
+        """Find the cheapest plan.
 
         Parameters
         ----------
-        state : (d,), or (E, d) for several states at once; each is planned for as if it were alone.
-        cost : what is to be small; its parameters may have an axis E.
-        memory : `Plan.memory` of the search at the decision before; None at the start of an episode.
+        state : (d,), or (E, d) for a batch of independent states.
+        cost : cost of trajectories; its parameters may have an axis E.
+        memory : `Plan.memory` of the search in the last decision; None at the start of an episode.
 
         Raises
         ------
         ModelError, ConfigError
-            If the state, or what the model or the cost answers, has a wrong shape.
+            If the state, or the result of the model or the cost, has a wrong shape.
         """
         begin = perf_counter()
         states, single = read_states(self.model, state)
@@ -130,7 +135,7 @@ class SamplingPlanner:
         return memory
 
     def _shift(self, plans: Any) -> Any:
-        """Plans one decision later; the last block goes on."""
+        """Plans one decision later; the last block is repeated."""
         later = np.concatenate([plans[..., 1:, :], plans[..., -1:, :]], axis=-2)
         return plans + (later - plans) / np.float32(self.settings.hold)
 
@@ -201,7 +206,7 @@ class SamplingPlanner:
 
 
 class _Search:
-    """The best that was found, for each of E states."""
+    """The best plans so far, for each of E states."""
 
     def __init__(self, e: int, elites: int) -> None:
         self._rows, self._count = np.arange(e), elites
@@ -214,7 +219,7 @@ class _Search:
         self.elite_costs: Any = None
 
     def add(self, flat: Any, costs: Any, reached: Any, elites: Any, elite_costs: Any) -> None:
-        """Take in an iteration: samples (E, S, B, m), their costs and states, the elites (E, R, K, B, m)."""
+        """Add an iteration: samples (E, S, B, m), their costs and states, the elites (E, R, K, B, m)."""
         self.iterations += 1
         best = costs.argmin(axis=1)
         cost, inputs, trajectory = costs[self._rows, best], flat[self._rows, best], reached[self._rows, best]
@@ -229,7 +234,7 @@ class _Search:
         self.elites, self.elite_costs = elites[self._rows, self.winner], elite_costs[self._rows, self.winner]
 
     def settle(self, inputs: Any, costs: Any, reached: Any) -> None:
-        """Answer with these plans (E, B, m) where their cost is finite."""
+        """Replace the result by these plans (E, B, m) where their cost is finite."""
         good = np.isfinite(costs)
         self.cost = np.where(good, costs, self.cost)
         self.inputs = np.where(good[:, None, None], inputs, self.inputs)
@@ -237,13 +242,13 @@ class _Search:
 
 
 def _cheapest(samples: Any, costs: Any, count: int) -> tuple[Any, Any]:
-    """The `count` cheapest of each restart, the cheapest first: (E, R, K, B, m) and (E, R, K)."""
+    """The `count` cheapest plans of each restart, the cheapest first: (E, R, K, B, m) and (E, R, K)."""
     order = np.argsort(costs, axis=-1, kind="stable")[..., :count]
     return np.take_along_axis(samples, order[..., None, None], axis=2), np.take_along_axis(costs, order, axis=-1)
 
 
 class CEM(SamplingPlanner):
-    """The Cross-Entropy Method; plain, improved or with several restarts, as `PlannerSettings` say.
+    """The Cross-Entropy Method; plain, improved or with several restarts, by `PlannerSettings`.
 
     Examples
     --------

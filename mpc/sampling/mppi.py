@@ -1,9 +1,9 @@
-r"""Model predictive path integral control: all samples count, by the exponential of their cost.
+r"""Model predictive path integral control: all samples count, weighted by the exponential of their cost.
 
 Notation
 --------
 With costs c_i of N samples and the temperature T, the mean moves to sum w_i u_i / sum w_i with the weights
-w_i = exp(-(c_i - min c) / T); the deviation stays. The answer is the mean.
+w_i = exp(-(c_i - min c) / T); the deviation stays the same. The result is the mean.
 Source: Williams et al. 2017 (information-theoretic MPC).
 """
 
@@ -24,7 +24,7 @@ __all__ = ["MPPI", "Softmax"]
 
 @dataclass(frozen=True, slots=True)
 class Softmax:
-    """The mean by the exponential of the costs."""
+    """Mean of the samples, weighted by the exponential of the costs."""
 
     temperature: float
 
@@ -45,7 +45,7 @@ class MPPI(SamplingPlanner):
     Parameters
     ----------
     model, fallback, low, high : as in `mpc.sampling.cem.SamplingPlanner`.
-    settings : `elites`, `keep`, `momentum` and `answer` are not looked at; by default 3 iterations of 128 samples.
+    settings : `elites`, `keep`, `momentum` and `answer` are ignored; by default 3 iterations of 128 samples.
     temperature : T, in the unit of the cost.
 
     Examples

@@ -1,4 +1,4 @@
-"""Coloured noise, drawn once: a planner that owns its random numbers can neither be disturbed nor be slowed by them."""
+"""Coloured noise in tables, so that a planner's random numbers are independent of other code and cost no time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["NoiseBank", "coloured"]
 def coloured(generator: np.random.Generator, shape: tuple[int, ...], exponent: float) -> Any:
     """Normal noise with spectrum 1/f^exponent along the last axis but one, of unit variance.
 
-    Exponent 0 is white. Source: Timmer and Koenig 1995, as used for planning by Pinneri et al. 2020 (iCEM).
+    Exponent 0 is white noise. Source: Timmer and Koenig 1995; used for planning by Pinneri et al. 2020 (iCEM).
     """
     length = shape[-2]
     if exponent == 0 or length < 2:
@@ -35,13 +35,13 @@ def coloured(generator: np.random.Generator, shape: tuple[int, ...], exponent: f
 
 
 class NoiseBank:
-    """Fixed tables of noise; which of them a search uses depends on how many searches came before in its episode.
+    """Fixed tables of noise; a search selects them by the number of earlier searches in its episode.
 
     Parameters
     ----------
-    shape : of one table.
-    tables : how many there are before they repeat.
-    exponent : colour.
+    shape : shape of one table.
+    tables : number of tables; they repeat after the last.
+    exponent : exponent of the spectrum.
     seed : seed of the generator.
     """
 
@@ -50,5 +50,5 @@ class NoiseBank:
         self._bank = coloured(generator, (tables, *shape), exponent).astype(np.float32)
 
     def take(self, index: Any) -> Any:
-        """Tables by index (E,), beyond the last from the first again: (E, *shape)."""
+        """Tables by index (E,), modulo their number: (E, *shape)."""
         return self._bank[np.asarray(index) % len(self._bank)]

@@ -1,10 +1,10 @@
-"""What a sampling planner is asked and what it answers, whatever the way it searches.
+"""Inputs and results of a sampling planner, independent of its search.
 
 Notation
 --------
-E states that are planned for at once, S sampled plans for each, B blocks of inputs held for `hold` decisions, m inputs
-and d state variables. A trajectory has T looked-at states: one every `look` decisions in the first `fine` blocks, then
-one at the end of each block.
+E states in a batch, S sampled plans for each, B blocks of inputs repeated for `hold` decisions, m inputs and d state
+variables. A trajectory has T evaluated states: one every `look` decisions in the first `fine` blocks, then one at the
+end of each block.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from dynamics.learned.models.model import StepModel, rollout_held
 __all__ = ["Cost", "Fallback", "Grid", "Plan", "PlanMemory", "PlanStatus", "Trajectories", "evaluate", "read_states"]
 
 Fallback = Callable[[Any], Any]
-"""Actions (E, m) for states (E, d) where no plan is usable."""
+"""Actions (E, m) for states (E, d) without a usable plan."""
 
 
 class PlanStatus(StrEnum):
-    """How a plan came about; the text says what to do."""
+    """Status of a plan; the text contains the advice."""
 
     PLANNED = "planned: use its action"
     TIME_LIMIT = "the time limit ended the search early: use its action, or raise time_limit or lower iterations"
@@ -36,15 +36,15 @@ class PlanStatus(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectories:
-    """Sampled plans and where the model says they lead.
+    """Sampled plans and the model's predictions for them.
 
     Attributes
     ----------
-    start : states now, (E, d).
-    states : looked-at states, (E, S, T, d); the first is `spans[0]` decisions after `start`.
-    actions : what leads to each of them, (E, S, T, m).
-    spans : decisions since the looked-at state before, (T,), in the type of the states.
-    memo : what several parts of a cost need and one of them has worked out; it lives as long as this object.
+    start : present states, (E, d).
+    states : evaluated states, (E, S, T, d); the first is `spans[0]` decisions after `start`.
+    actions : inputs that lead to each of them, (E, S, T, m).
+    spans : decisions since the previous evaluated state, (T,), in the type of the states.
+    memo : cache of intermediate values that several parts of a cost share.
     """
 
     start: Any
@@ -56,12 +56,13 @@ class Trajectories:
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Which states of a plan are looked at.
+    """Evaluated states of a plan.
 
     Attributes
     ----------
-    hold : decisions of a block. look : decisions between states in the first `fine` blocks; divides `hold`.
-    fine : beyond these blocks only the last state of each is looked at.
+    hold : decisions of a block.
+    look : decisions between states in the first `fine` blocks; divides `hold`.
+    fine : number of blocks with this resolution; in later ones only the last state is evaluated.
     """
 
     hold: int
@@ -69,7 +70,7 @@ class Grid:
     fine: int
 
     def rollout(self, model: StepModel, states: Any, samples: Any) -> tuple[Any, Any, Any]:
-        """Looked-at states (n, T, d), their actions (n, T, m) and spans (T,), of states (n, d), blocks (n, B, m)."""
+        """Evaluated states (n, T, d), actions (n, T, m) and spans (T,), from states (n, d) and blocks (n, B, m)."""
         parts = self.hold // self.look
         near = np.repeat(samples[:, : self.fine], parts, axis=1) if parts > 1 else samples[:, : self.fine]
         far = samples[:, self.fine :]
@@ -85,22 +86,23 @@ class Grid:
 
 
 class Cost(Protocol):
-    """What is to be small."""
+    """Cost of trajectories, to be minimised."""
 
     def __call__(self, trajectories: Trajectories) -> Any:
-        """Cost of each plan, (E, S). What is not finite is never chosen."""
+        """Cost of each plan, (E, S). Plans with a cost that is not finite are never chosen."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanMemory:
-    """What the next search starts from, one row for each state.
+    """Start of the next search, one row for each state.
 
     Attributes
     ----------
-    mean : the best plan, (E, B, m). elites : the best plans, (E, K, B, m).
-    count : searches since the start of the episode, (E,); the random numbers of a search depend on it alone.
-    warm : rows that hold a plan, (E,).
+    mean : the best plan, (E, B, m).
+    elites : the best plans, (E, K, B, m).
+    count : number of searches since the start of the episode, (E,); it alone determines the random numbers of a search.
+    warm : rows with a plan, (E,).
     """
 
     mean: Any
@@ -109,7 +111,7 @@ class PlanMemory:
     warm: NDArray[np.bool_]
 
     def forget(self, rows: Any) -> PlanMemory:
-        """The same with these rows (mask or indices) as at the start of an episode."""
+        """A copy with these rows (mask or indices) as at the start of an episode."""
         count, warm = self.count.copy(), self.warm.copy()
         count[rows], warm[rows] = 0, False
         return PlanMemory(self.mean, self.elites, count, warm)
@@ -117,18 +119,19 @@ class PlanMemory:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """The answer of a planner. The arrays are the caller's own; without the axis E where one state was asked about.
+    """Result of a planner. The arrays belong to the caller; they have no axis E for a single state.
 
     Attributes
     ----------
-    action : what to do now, (E, m), inside the bounds, always finite; of a categorical planner (E,) integers.
-    inputs : inputs of each block, (E, B, m). trajectory : looked-at states, (E, T, d), NaN in a fallback.
-    cost : of the plan, (E,), inf in a fallback.
+    action : action of this decision, (E, m), inside the bounds, always finite; (E,) integers of a categorical planner.
+    inputs : inputs of each block, (E, B, m).
+    trajectory : evaluated states, (E, T, d), NaN in a fallback.
+    cost : cost of the plan, (E,), inf in a fallback.
     elites, elite_costs : the best plans of the last iteration, (E, K, B, m), and their costs, (E, K).
     status : `PlanStatus` of each state, a tuple of E.
-    iterations : iterations that were completed.
-    time : spent on the search [s].
-    memory : what the next search starts from (with the axis E).
+    iterations : number of completed iterations.
+    time : time of the search [s].
+    memory : start of the next search (with the axis E).
     """
 
     action: Any
@@ -149,12 +152,12 @@ class Plan:
 
 
 def read_states(model: StepModel, states: Any) -> tuple[Any, bool]:
-    """States as (E, d), and whether there was one alone.
+    """States as (E, d), and whether there was a single one.
 
     Raises
     ------
     ModelError
-        If they are no states of this model.
+        If their shape does not fit the model.
     """
     array = np.asarray(states)
     single = array.ndim == 1
@@ -170,17 +173,20 @@ def evaluate(model: StepModel, cost: Cost, states: Any, samples: Any, grid: Grid
 
     Parameters
     ----------
-    states : (E, d). samples : inputs of each block, (E, S, B, m).
-    grid : which states are looked at.
+    model : the model.
+    cost : the cost.
+    states : present states, (E, d).
+    samples : inputs of each block, (E, S, B, m).
+    grid : selection of the evaluated states.
 
     Returns
     -------
-    Costs (E, S), inf where a state or a cost is not finite, and states (E, S, T, d).
+    Costs (E, S), inf if a state or a cost is not finite, and states (E, S, T, d).
 
     Raises
     ------
     ModelError, ConfigError
-        If the model or the cost answers with another shape.
+        If the result of the model or the cost has another shape.
     """
     e, s = samples.shape[:2]
     with np.errstate(all="ignore"):

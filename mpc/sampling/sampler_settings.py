@@ -1,4 +1,4 @@
-"""How a sampling planner searches, with the named ways: the notebook's, iCEM, several restarts of it."""
+"""Settings of a sampling planner, with named presets: the notebook's, iCEM, and several restarts of iCEM."""
 
 from __future__ import annotations
 
@@ -13,26 +13,27 @@ __all__ = ["PlannerSettings"]
 
 @dataclass(frozen=True, slots=True)
 class PlannerSettings:
-    """How a planner searches.
+    """Settings of a planner's search.
 
     Attributes
     ----------
-    blocks, hold : inputs in a plan, and decisions for which each is held.
-    look : decisions between the states that the cost sees; `hold` is a multiple of it. None for `hold`.
-    fine : blocks for which it is so; of the later ones the cost sees the last states alone. None for all.
-    iterations, restarts : see the module.
-    samples : of each restart in the first iteration. decay : samples of an iteration over those of the next, >= 1.
-    elites : of each restart.
-    std, min_std : deviation at first and at least, in half ranges of the inputs.
+    blocks, hold : inputs in a plan, and decisions of each.
+    look : decisions between evaluated states; `hold` is a multiple of it. None for `hold`.
+    fine : number of blocks with this resolution; in later ones only the last state is evaluated. None for all.
+    iterations, restarts : see `mpc.sampling.cem`.
+    samples : samples of each restart in the first iteration.
+    decay : ratio of the samples of an iteration to those of the next, >= 1.
+    elites : elites of each restart.
+    std, min_std : initial and least deviation, in half ranges of the inputs.
     colour : exponent of the noise's spectrum over the blocks; 0 is white.
     momentum : share of the old distribution in the new one.
     keep : share of the elites that stay among the next samples, also from decision to decision.
-    warm : whether the last plan is where the next search starts.
-    time_limit : greatest time of a search [s]; no iteration is begun that would be likely to exceed it. None for none.
-        With one, plans depend on the machine.
-    answer : "best", the cheapest plan that was sampled, or "mean", that of the last distribution of the restart that
-        found the cheapest: on a model that errs, the best sample may be one that makes use of the error.
-    seed : of the planner's own random numbers.
+    warm : whether the next search starts from the last plan.
+    time_limit : greatest time of a search [s]; an iteration that would probably exceed it does not begin. None for no
+        limit. With a limit, plans depend on the machine.
+    answer : "best" for the cheapest sampled plan, or "mean" for the mean of the last distribution of the restart with
+        the cheapest plan. With an inaccurate model the best sample may exploit the model's error.
+    seed : seed of the planner's own random numbers.
     """
 
     blocks: int = 5
@@ -76,22 +77,22 @@ class PlannerSettings:
 
     @property
     def grid(self) -> Grid:
-        """Which states of a plan are looked at."""
+        """Selection of the evaluated states of a plan."""
         fine = self.blocks if self.fine is None else self.fine
         return Grid(self.hold, self.hold if self.look is None else self.look, fine)
 
     @property
     def kept(self) -> int:
-        """Elites that stay among the samples."""
+        """Number of elites that stay among the samples."""
         return round(self.keep * self.elites)
 
     def sizes(self) -> list[int]:
-        """Fresh samples of a restart in each iteration; never fewer than twice the elites, but for the first."""
+        """New samples of a restart in each iteration, at least twice the elites except where `samples` is less."""
         least = min(2 * self.elites, self.samples)
         return [max(least, round(self.samples * self.decay**-i)) for i in range(self.iterations)]
 
     def replace(self, **changes: Any) -> PlannerSettings:
-        """The same with some values changed."""
+        """A copy with some values changed."""
         return replace(self, **changes)
 
     @classmethod
@@ -114,6 +115,6 @@ class PlannerSettings:
 
     @classmethod
     def mppi(cls, **changes: Any) -> PlannerSettings:
-        """For `mpc.sampling.mppi.MPPI`: as many samples as in the restarts of `multistart`, around the last plan."""
+        """Settings for `mpc.sampling.mppi.MPPI`: the samples of all restarts of `multistart`, around the last plan."""
         improved = cls(std=0.5, colour=1.0, warm=True, iterations=4, samples=128, elites=128, answer="mean")
         return improved.replace(**changes)

@@ -1,1 +1,1 @@
-"""What a planner has to know of what it plans for: costs, goals, constraints."""
+"""Tasks of planners: costs, goals, constraints."""

@@ -1,4 +1,4 @@
-"""A parking task that also pays where a learned model is unsure of itself."""
+"""Parking task with an additional cost for disagreement in a learned model."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ __all__ = ["CautiousTask"]
 
 
 class CautiousTask:
-    """`ParkingTask` and `DisagreementCost`.
+    """`ParkingTask` with a `DisagreementCost`.
 
     Parameters
     ----------
-    task : what is to be small besides.
-    ensemble : whose members may disagree; it need not be what the planner plans with.
-    weight : of the members' standard deviations, summed over the observation's entries, at each looked-at state.
+    task : the parking task.
+    ensemble : model whose members may disagree; it may differ from the planner's model.
+    weight : weight of the members' standard deviations, summed over the observation's entries, at each evaluated state.
 
     Raises
     ------
@@ -45,6 +45,6 @@ class CautiousTask:
         return self.task.read(observation)
 
     def cost(self, observation: Any, started: Any) -> Sum:
-        """The task's cost and the disagreement's; the success mask and the terminal weight count for both."""
+        """Cost of the task plus that of the disagreement; the success mask and the terminal weight apply to both."""
         total = self.task.cost(observation, started)
         return total + self.weight * Sum.of(self._cost) if self.weight else total

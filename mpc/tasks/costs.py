@@ -1,10 +1,10 @@
-r"""Costs of plans: small objects that add up.
+r"""Costs of plans, composed of small objects.
 
 Notation
 --------
-E states, S plans, T looked-at states (see `mpc.sampling.plan.Trajectories`). A *term* gives a cost to every looked-at
-state, c_i (E, S, T); a *factor* gives each a weight, w_j (E, S, T) or (T,).
-They are put together with `+`, and the cost of a plan is
+E states, S plans, T evaluated states (see `mpc.sampling.plan.Trajectories`). A *term* gives a cost to every evaluated
+state, c_i (E, S, T). A *factor* gives each a weight, w_j (E, S, T) or (T,). They are combined with `+`, and the cost of
+a plan is
 
     sum_t  w_1 ... w_k (c_1 + ... + c_n)
 
@@ -44,28 +44,28 @@ class _Adds:
 
 
 class Term(_Adds):
-    """A cost of each looked-at state."""
+    """Base class of a cost of each evaluated state."""
 
     __slots__ = ()
 
     def stages(self, trajectories: Trajectories) -> Any:
-        """(E, S, T), or what broadcasts to it."""
+        """Costs, (E, S, T) or broadcastable to it."""
         raise NotImplementedError
 
 
 class Factor(_Adds):
-    """A weight of each looked-at state."""
+    """Base class of a weight of each evaluated state."""
 
     __slots__ = ()
 
     def weights(self, trajectories: Trajectories) -> Any:
-        """(E, S, T), or what broadcasts to it."""
+        """Weights, (E, S, T) or broadcastable to it."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)
 class Sum:
-    """Terms, each with a number before it, and factors; callable as a `mpc.sampling.plan.Cost`."""
+    """Weighted terms, and factors; callable as a `mpc.sampling.plan.Cost`."""
 
     terms: tuple[tuple[float, Term], ...] = ()
     factors: tuple[Factor, ...] = ()
@@ -77,7 +77,7 @@ class Sum:
         Raises
         ------
         ConfigError
-            If it is neither a term, a factor nor a sum.
+            If the part is neither a term, a factor nor a sum.
         """
         if isinstance(part, Sum):
             return part
@@ -92,7 +92,7 @@ class Sum:
         return Sum(self.terms + other.terms, self.factors + other.factors)
 
     def __mul__(self, weight: float) -> Sum:
-        """All terms times a number; factors stay."""
+        """All terms times a number; factors are unchanged."""
         if not np.isfinite(weight):
             raise ConfigError(f"a cost's weight must be finite, got {weight!r}")
         return Sum(tuple((weight * w, term) for w, term in self.terms), self.factors)
@@ -100,7 +100,7 @@ class Sum:
     __rmul__ = __mul__
 
     def stages(self, trajectories: Trajectories) -> Any:
-        """Weighted cost of each looked-at state, (E, S, T)."""
+        """Weighted cost of each evaluated state, (E, S, T)."""
         total: Any = np.zeros(trajectories.states.shape[:3], trajectories.states.dtype)
         for weight, term in self.terms:
             part = term.stages(trajectories)
@@ -116,12 +116,12 @@ class Sum:
 
 @dataclass(frozen=True, slots=True)
 class TerminalWeight(Factor):
-    """The last looked-at state counts as if it lasted for `weight` decisions."""
+    """Weight of the last evaluated state, as if it lasted for `weight` decisions."""
 
     weight: float = 1.0
 
     def weights(self, trajectories: Trajectories) -> Any:
-        """(T,)."""
+        """Weights, (T,)."""
         out = np.ones(trajectories.states.shape[2], trajectories.states.dtype)
         out[-1] = self.weight / trajectories.spans[-1]
         return out
@@ -129,30 +129,30 @@ class TerminalWeight(Factor):
 
 @dataclass(frozen=True, slots=True)
 class InputCost(Term):
-    """Squared size of the inputs, for each decision."""
+    """Squared norm of the inputs, for each decision."""
 
     def stages(self, trajectories: Trajectories) -> Any:
-        """(E, S, T)."""
+        """Costs, (E, S, T)."""
         return np.square(trajectories.actions).sum(axis=-1) * trajectories.spans
 
 
 @dataclass(frozen=True, slots=True)
 class SpeedCost(Term):
-    """Squared distance of the speed from a wanted one [m^2/s^2], for each decision.
+    """Squared difference of the speed from a target speed [m^2/s^2], for each decision.
 
-    For states with the velocity in columns 2 and 3.
+    The states have the velocity in columns 2 and 3.
     """
 
     speed: float
 
     def stages(self, trajectories: Trajectories) -> Any:
-        """(E, S, T)."""
+        """Costs, (E, S, T)."""
         states = trajectories.states
         return np.square(np.hypot(states[..., 2], states[..., 3]) - self.speed) * trajectories.spans
 
 
 class Disagreeing(Protocol):
-    """A model that knows where it does not know."""
+    """A model with a measure of its uncertainty."""
 
     def disagreement(self, states: Any, actions: Any) -> Any:
         """Spread of its members' next states, (n, d), for states (n, d) and actions (n, m)."""
@@ -161,18 +161,19 @@ class Disagreeing(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class DisagreementCost(Term):
-    """How far the members of an ensemble are apart, one decision on from each looked-at state.
+    """Disagreement of the members of an ensemble, one decision ahead of each evaluated state.
 
     Attributes
     ----------
-    model : the ensemble. scale : (d,) or a number, what a unit of each state variable costs.
+    model : the ensemble.
+    scale : cost of a unit of each state variable, (d,) or a number.
     """
 
     model: Disagreeing
     scale: Any = 1.0
 
     def stages(self, trajectories: Trajectories) -> Any:
-        """(E, S, T)."""
+        """Costs, (E, S, T)."""
         t = trajectories
         e, s = t.states.shape[:2]
         first = np.broadcast_to(t.start[:, None, None], (e, s, 1, t.start.shape[-1]))
@@ -183,8 +184,8 @@ class DisagreementCost(Term):
 
 @dataclass(frozen=True, slots=True)
 class TimeCost(Term):
-    """One for each decision: with a success mask, the time that it takes."""
+    """Cost of 1 for each decision; with a success mask, the time to success."""
 
     def stages(self, trajectories: Trajectories) -> Any:
-        """(T,)."""
+        """Costs, (T,)."""
         return trajectories.spans

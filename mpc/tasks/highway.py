@@ -1,9 +1,9 @@
-r"""What a planner over meta-actions has to know of a straight highway: speed pays, the right lane too, contact never.
+r"""Task of a planner over meta-actions on a straight highway: rewards for speed and the right lane, cost of contact.
 
 Notation
 --------
-States are those of `dynamics.learned.tasks.traffic_model`. Between two looked-at states positions are taken to change
-evenly; a plan that comes nearer than the margins to a vehicle at any of `_PARTS` times in between costs `contact`.
+States are those of `dynamics.learned.tasks.traffic_model`. Positions between two evaluated states are interpolated
+linearly. A plan that comes nearer to a vehicle than the margins at any of `_PARTS` times in between costs `contact`.
 """
 
 from __future__ import annotations
@@ -26,17 +26,20 @@ _PARTS = 4
 
 @dataclass(frozen=True, slots=True)
 class ContactCost(Term):
-    """A cost for coming too near to another vehicle, and a smaller one for a gap that closes too fast.
+    """Cost of coming too near to another vehicle, and a smaller one of a gap that closes too fast.
 
-    Where the ego's centre enters the area around another vehicle's it is `entry`, and it rises to 1 where the bodies
-    touch; from then on it stays 1. Among plans that all come too near, the one that stays farthest away is the
-    cheapest, and among those that all crash, the one that does so last: it must not pay to drive through a vehicle.
+    The cost is `entry` when the ego's centre enters the area around another vehicle's. It rises to 1 at contact of the
+    bodies, and stays 1 from then on. So among plans that all come too near, the one with the greatest distance is the
+    cheapest. Among plans that all crash, the one with the latest crash is the cheapest, and driving through a vehicle
+    never pays.
 
     Attributes
     ----------
-    length, width : of the area around another vehicle's centre that the ego's must stay out of, half [m]; more than a
-        vehicle's. entry : cost of entering it.
-    headway : seconds of the closing speed that the gap to a vehicle ahead should last. soft : cost of none.
+    length, width : half extents of the area around another vehicle's centre that the ego's centre must avoid [m]; more
+        than a vehicle's.
+    entry : cost of entering the area.
+    headway : time of the closing speed that the gap to a vehicle ahead should cover [s].
+    soft : cost without any gap.
     """
 
     length: float = LENGTH + 2.0
@@ -46,7 +49,7 @@ class ContactCost(Term):
     soft: float = 0.3
 
     def stages(self, trajectories: Trajectories) -> Any:
-        """(E, S, T)."""
+        """Costs, (E, S, T)."""
         t = trajectories
         e, s, steps = t.states.shape[:3]
         others = t.states[..., EGO:].reshape(e, s, steps, -1, VEHICLE)
@@ -56,7 +59,7 @@ class ContactCost(Term):
         before = np.concatenate([first, others[:, :, :-1]], axis=2)
         share = (np.arange(1, _PARTS + 1) / _PARTS).astype(t.states.dtype)
         dx, dy = (before[..., i, None] + (others[..., i] - before[..., i])[..., None] * share for i in (1, 2))
-        # Metres inside the area over those between its edge and contact, along and across; the lesser counts.
+        # Depth inside the area relative to its margin around the bodies, along and across; the lesser counts.
         inside = np.minimum(
             (self.length - np.abs(dx)) / (self.length - LENGTH), (self.width - np.abs(dy)) / (self.width - WIDTH)
         )
@@ -72,38 +75,40 @@ class ContactCost(Term):
 
 @dataclass(frozen=True, slots=True)
 class PaceCost(Term):
-    """How far the speed is below the one that pays most, from 0 at `high` to 1 at `low` [m/s], for each decision."""
+    """Shortfall of the speed below the best paid one, from 0 at `high` to 1 at `low` [m/s], for each decision."""
 
     low: float
     high: float
 
     def stages(self, trajectories: Trajectories) -> Any:
-        """(E, S, T)."""
+        """Costs, (E, S, T)."""
         pace = (self.high - trajectories.states[..., 2]) / (self.high - self.low)
         return np.clip(pace, 0, 1) * trajectories.spans
 
 
 @dataclass(frozen=True, slots=True)
 class LaneCost(Term):
-    """How far the ego is from the rightmost lane, from 0 to 1 in the leftmost, for each decision; centres in y [m]."""
+    """Distance from the rightmost lane, from 0 to 1 in the leftmost, for each decision; centre lines in y [m]."""
 
     right: float
     left: float = 0.0
 
     def stages(self, trajectories: Trajectories) -> Any:
-        """(E, S, T)."""
+        """Costs, (E, S, T)."""
         y = trajectories.states[..., 0]
         return np.clip((self.right - y) / (self.right - self.left), 0, 1) * trajectories.spans
 
 
 @dataclass(frozen=True, slots=True)
 class HighwayWeights:
-    """How driving is paid for, for each decision.
+    """Weights of the costs, for each decision.
 
     Attributes
     ----------
-    pace, lane : of the speed and of the lane, as in the environment's reward. change : of a change of lane.
-    contact : of coming too near. length, width, headway : of `ContactCost`.
+    pace, lane : weights of the speed and of the lane, as in the environment's reward.
+    change : weight of a lane change.
+    contact : weight of coming too near.
+    length, width, headway : parameters of `ContactCost`.
     """
 
     pace: float = 0.4
@@ -117,22 +122,22 @@ class HighwayWeights:
 
 @dataclass(frozen=True, slots=True)
 class ChangeCost(Term):
-    """One for each decision to change lanes; `actions` are the numbers of those meta-actions."""
+    """Cost of 1 for each decision to change lanes; `actions` are the indices of those meta-actions."""
 
     actions: tuple[int, ...]
 
     def stages(self, trajectories: Trajectories) -> Any:
-        """(E, S, T)."""
+        """Costs, (E, S, T)."""
         return np.isin(trajectories.actions[..., 0], self.actions).astype(trajectories.states.dtype)
 
 
 class HighwayTask:
-    """Reads Kinematics observations of a straight highway.
+    """Reads Kinematics observations of a straight highway, and defines the cost.
 
     Parameters
     ----------
     env : the environment, wrapped or not, after a reset.
-    weights : how driving is paid for.
+    weights : weights of the costs.
 
     Raises
     ------
@@ -158,7 +163,7 @@ class HighwayTask:
         self.changes = tuple(int(indexes[name]) for name in ("LANE_LEFT", "LANE_RIGHT") if name in indexes)
 
     def read(self, observation: Any) -> tuple[Any, Any, bool]:
-        """States (E, 3 + 5 K), a mark (E, 1) and whether there was one alone; without `episode_start` all are one."""
+        """States (E, 3 + 5 K), episode marks (E, 1), which are all equal, and whether there was one observation."""
         array = np.asarray(observation, float)
         single = array.ndim == 2
         array = array[None] if single else array
@@ -169,7 +174,7 @@ class HighwayTask:
         return states.astype(np.float32), np.zeros((len(rows), 1)), single
 
     def cost(self, observation: Any, started: Any) -> Sum:
-        """Pace, lane, changes and contact."""
+        """Weighted sum of pace, lane, lane changes and contact."""
         w = self.weights
         return (
             w.pace * PaceCost(*self.speeds)

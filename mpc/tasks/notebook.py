@@ -1,17 +1,17 @@
-r"""HighwayEnv's parking notebook: the model and the planner that ours are measured against, as they are there.
+r"""HighwayEnv's parking notebook: its model and planner, as a reference for comparisons.
 
 Notation
 --------
-States are observations, as scaled by the environment; with networks A and B that see the state but its position,
+States are observations, scaled by the environment. With networks A and B that receive the state without its position,
 
     x+ = x + dt (A(x, u) x + B(x, u) u)
 
-The planner draws 100 sequences of 5 actions, each held for 5 decisions, fits a normal distribution to the best 10, five
-times over, and does the first action of its mean. It keeps autograd's graphs, as the notebook does; `inference=True`
-leaves them out and changes no number.
+The planner draws 100 sequences of 5 actions, each repeated for 5 decisions, and fits a normal distribution to the best
+10, five times. It executes the first action of the mean. It keeps autograd's graphs, as the notebook does;
+`inference=True` omits them without a change of any number.
 
-Source: E. Leurent, `parking_model_based.ipynb` of HighwayEnv, rewritten; 2,000 transitions of random actions held for
-two decisions, terminal ones among them, Adam at 0.01, 1,500 epochs on all of the training data at once.
+Source: E. Leurent, `parking_model_based.ipynb` of HighwayEnv, rewritten; 2,000 transitions of random actions repeated
+for two decisions, with terminal ones among them, Adam at 0.01, 1,500 epochs on all of the training data at once.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class NotebookModel(nn.Module):
 
     Parameters
     ----------
-    seed : of the initial weights.
+    seed : seed of the initial weights.
     """
 
     def __init__(self, seed: int = 0) -> None:
@@ -66,7 +66,8 @@ def collect_as_notebook(env: Any, seed: int = 0, size: int = 1000, hold: int = 2
     Parameters
     ----------
     env : `parking-v0`; reset with `seed` and the seeds after it.
-    size, hold : actions that are drawn, and decisions for which each is held.
+    seed : first seed of the resets, and seed of the actions.
+    size, hold : number of drawn actions, and decisions of each.
     """
     generator, rows = np.random.default_rng(seed), []
     observation, _ = env.reset(seed=seed)
@@ -111,8 +112,8 @@ class NotebookPolicy:
     Parameters
     ----------
     model : a fitted `NotebookModel`.
-    seed : of its random numbers; they start again with each episode.
-    inference : whether to leave out autograd's graphs.
+    seed : seed of its random numbers, which restart with each episode.
+    inference : whether to omit autograd's graphs.
     """
 
     def __init__(self, model: NotebookModel, seed: int = 0, inference: bool = False) -> None:
@@ -122,7 +123,7 @@ class NotebookPolicy:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Any, Any]:
-        """The first action of the plan, (2,) float32, and `state` as it came in."""
+        """The first action of the plan, (2,) float32, and `state` unchanged."""
         if episode_start is not None and np.any(episode_start):
             self._generator.manual_seed(self.seed)
         with torch.inference_mode() if self.inference else contextlib.nullcontext():

@@ -1,4 +1,4 @@
-"""What a planner has to know of `parking-v0`: the goal, the walls, the parked vehicles, and how to brake."""
+"""Task of a planner in `parking-v0`: the goal, the walls, the parked vehicles, and braking."""
 
 from __future__ import annotations
 
@@ -20,20 +20,25 @@ __all__ = ["PROFILES", "ParkingTask", "ParkingWeights", "brake", "parking_settin
 
 
 PROFILES = {"quality": 4, "fast": 2, "plain": 4, "icem": 4, "mppi": 4}
-"""Iterations of the planner's named profiles."""
+"""Number of iterations in the planner's named profiles."""
 
 
 @dataclass(frozen=True, slots=True)
 class ParkingWeights:
-    """How parking is paid for; costs in time are per second.
+    """Weights of the costs of parking; costs in time are per second.
 
     Attributes
     ----------
-    goal : of the distance to the goal. time : of each second until success. terminal : seconds that the end counts.
-    stop : of each m/s beyond `speed` on arrival. speed : at which arriving costs nothing [m/s].
-    threshold : distance that the plan takes for success. stop_threshold : at which it takes care of the speed.
+    goal : weight of the distance to the goal.
+    time : cost of each second until success.
+    terminal : time for which the last state counts [s].
+    stop : cost of each m/s beyond `speed` on arrival.
+    speed : arrival speed without cost [m/s].
+    threshold : distance that counts as success in a plan.
+    stop_threshold : distance at which `stop` applies.
     heading : factor on the weight of the heading in the distance to the goal.
-    wall, obstacle : of each metre nearer than the margins [m], per looked-at state.
+    wall, obstacle : cost of each metre nearer than the margin, for each evaluated state.
+    wall_margin, obstacle_margin : the margins [m].
     """
 
     goal: float = 1.0
@@ -51,11 +56,11 @@ class ParkingWeights:
 
 
 def parking_settings(profile: str = "quality", **changes: Any) -> PlannerSettings:
-    """How to search for ways into a spot: 8 blocks of 0.8 s, looked at closely in the first two, 128 samples.
+    """Settings of the search for a path into a spot: 8 blocks of 0.8 s, the first two at high resolution, 128 samples.
 
     Parameters
     ----------
-    profile : one of `PROFILES`: "quality" is 4 restarts of iCEM in 4 iterations, "fast" in 2; for comparison "plain" is
+    profile : one of `PROFILES`: "quality" is 4 restarts of iCEM in 4 iterations, "fast" in 2. For comparison "plain" is
         the Cross-Entropy Method without any addition, "icem" is one restart, "mppi" is for `mpc.sampling.mppi.MPPI`.
     changes : other values of `PlannerSettings`.
 
@@ -77,12 +82,12 @@ _PLAIN, _SINGLE = PlannerSettings(samples=128), PlannerSettings.icem(samples=128
 
 
 class ParkingTask:
-    """Reads goal-conditioned observations, and obstacles from the simulator.
+    """Reads goal-conditioned observations, and obstacles from the simulator, and defines the cost.
 
     Parameters
     ----------
     env : a parking environment, wrapped or not, or a VecEnv of them in this process.
-    weights : how it is paid for.
+    weights : weights of the costs.
 
     Raises
     ------
@@ -107,13 +112,13 @@ class ParkingTask:
         self._boxes: list[Any] = [np.empty((0, 5))] * len(self.bases)
 
     def read(self, observation: Any) -> tuple[Any, Any, bool]:
-        """States (E, 6), goals (E, 6), both float32, and whether there was one alone."""
+        """States (E, 6), goals (E, 6), both float32, and whether there was a single observation."""
         states, goals = parking.state(observation), parking.goal(observation)
         single = states.ndim == 1
         return np.atleast_2d(states).astype(np.float32), np.atleast_2d(goals).astype(np.float32), single
 
     def cost(self, observation: Any, started: Any) -> Sum:
-        """The way to the goal, clear of walls and of what stands in the lot."""
+        """Cost of the path to the goal, with walls and parked vehicles."""
         goal, w = np.atleast_2d(parking.goal(observation)).astype(np.float32), self.weights
         if len(goal) != len(self.bases):
             raise ConfigError(f"{len(goal)} observations for {len(self.bases)} environments; a batch needs one each")
@@ -129,7 +134,7 @@ class ParkingTask:
         return total + SuccessMask(goal, w.threshold) + TerminalWeight(w.terminal / second)
 
     def _obstacles(self) -> Any:
-        """Where other vehicles stand, (E, m, 5), NaN where an environment has fewer than another."""
+        """Other vehicles, (E, m, 5), with NaN rows for environments with fewer than others."""
         for i, base in enumerate(self.bases):
             if base.road is not self._roads[i]:
                 others = [v for v in base.road.vehicles if v is not base.vehicle]
@@ -141,11 +146,11 @@ class ParkingTask:
 
 
 def brake(env: Any) -> Fallback:
-    """Actions that stop a parking vehicle as fast as its actuators can, the wheel straight; zero where it stands.
+    """Actions that stop a parking vehicle as fast as its actuators can, with straight steering; zero at a standstill.
 
     Parameters
     ----------
-    env : the environment whose throttle and decision period they are meant for.
+    env : environment with the throttle and the decision period of the actions.
     """
     base = getattr(env, "unwrapped", env)
     actuators, period = Actuators.of(base.action_type), 1.0 / float(base.config["policy_frequency"])
@@ -160,7 +165,7 @@ def brake(env: Any) -> Fallback:
 
 
 def _bases(env: Any) -> list[Any]:
-    """The highway-env environments inside `env`, innermost."""
+    """The unwrapped highway-env environments inside `env`."""
     if not hasattr(env, "num_envs"):
         return [env.unwrapped]
     inner = getattr(env, "envs", None)

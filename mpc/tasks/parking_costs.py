@@ -2,8 +2,8 @@ r"""Costs of parking, on states (x, y [m], vx, vy [m/s], cos psi, sin psi) of `d
 
 Notation
 --------
-The distance to the goal g is highway-env's, d = (w . |(z - g) / SCALES|)^(1/2) with the weights w of the reward;
-parking has succeeded where d < SUCCESS. Source: `ParkingEnv.compute_reward` of highway-env 1.12.
+The distance to the goal g is highway-env's, d = (w . |(z - g) / SCALES|)^(1/2) with the weights w of the reward.
+Parking has succeeded if d < SUCCESS. Source: `ParkingEnv.compute_reward` of highway-env 1.12.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ __all__ = ["SUCCESS", "WEIGHTS", "GoalCost", "ObstacleCost", "StopCost", "Succes
 WEIGHTS = np.array([1.0, 0.3, 0.0, 0.0, 0.02, 0.02])
 """Weights of the reward on the observation's entries (`reward_weights`)."""
 SUCCESS = 0.12
-"""Distance to the goal below which the environment says that parking has succeeded (`success_goal_reward`)."""
+"""Distance to the goal below which parking has succeeded (`success_goal_reward`)."""
 
 
 def goal_distance(states: Any, goal: Any) -> Any:
-    """highway-env's distance to the goal: states (E, ..., 6) and a goal (E, 6) or (6,) to (E, ...)."""
+    """highway-env's distance to the goal, from states (E, ..., 6) and a goal (E, 6) or (6,) to (E, ...)."""
     return np.sqrt(sum(_squares(states, goal)))
 
 
 def _squares(states: Any, goal: Any) -> tuple[Any, Any]:
-    """The parts of the squared distance that are position's and heading's, (E, ...) each."""
+    """Parts of the squared distance from position and from heading, (E, ...) each."""
     goal = np.asarray(goal, states.dtype)
     goal = goal.reshape(*goal.shape[:-1], *(1,) * (states.ndim - 2 if goal.ndim > 1 else 0), goal.shape[-1])
     x, y, cos, sin = (
@@ -43,10 +43,10 @@ def _squares(states: Any, goal: Any) -> tuple[Any, Any]:
 
 
 def _parts(trajectories: Trajectories, goal: Any) -> tuple[Any, Any]:
-    """`_squares` of looked-at states, worked out once for all parts of a cost that have the same goal."""
+    """`_squares` of evaluated states, computed once for all parts of a cost with the same goal."""
     key = ("goal", id(goal))
     if key not in trajectories.memo:
-        # The goal is kept with it, so that its id stays its own.
+        # The reference to the goal keeps its id unique.
         trajectories.memo[key] = (_squares(trajectories.states, goal), goal)
     found: tuple[Any, Any] = trajectories.memo[key][0]
     return found
@@ -54,31 +54,32 @@ def _parts(trajectories: Trajectories, goal: Any) -> tuple[Any, Any]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GoalCost(Term):
-    """Distance to the goal, (E, 6) or (6,), for each decision; `heading` is a factor on its weight of the heading."""
+    """Distance to the goal, (E, 6) or (6,), for each decision; `heading` is a factor on the weight of the heading."""
 
     goal: Any
     heading: float = 1.0
 
     def stages(self, trajectories: Trajectories) -> Any:
-        """(E, S, T)."""
+        """Costs, (E, S, T)."""
         position, heading = _parts(trajectories, self.goal)
         return np.sqrt(position + self.heading * heading) * trajectories.spans
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SuccessMask(Factor):
-    """No cost after the first looked-at state in which parking has succeeded.
+    """No cost after the first evaluated state with success.
 
     Attributes
     ----------
-    goal : (E, 6) or (6,). threshold : distance that counts; a model that errs needs less than `SUCCESS`.
+    goal : (E, 6) or (6,).
+    threshold : distance that counts as success; less than `SUCCESS` for an inaccurate model.
     """
 
     goal: Any
     threshold: float = SUCCESS
 
     def weights(self, trajectories: Trajectories) -> Any:
-        """(E, S, T), 1 up to and with the first success."""
+        """Weights, (E, S, T), 1 up to and including the first success."""
         position, heading = _parts(trajectories, self.goal)
         over = np.logical_or.accumulate(position + heading < self.threshold**2, axis=2)
         out = np.ones(over.shape, trajectories.states.dtype)
@@ -88,14 +89,14 @@ class SuccessMask(Factor):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StopCost(Term):
-    """Speed beyond `limit` [m/s] where parking has succeeded: with `SuccessMask`, the speed on arrival."""
+    """Speed beyond `limit` [m/s] in states with success; with `SuccessMask`, the speed on arrival."""
 
     goal: Any
     limit: float = 0.6
     threshold: float = SUCCESS
 
     def stages(self, trajectories: Trajectories) -> Any:
-        """(E, S, T) [m/s]."""
+        """Costs, (E, S, T) [m/s]."""
         states = trajectories.states
         position, heading = _parts(trajectories, self.goal)
         speed = np.hypot(states[..., Parking.VX], states[..., Parking.VY])
@@ -104,12 +105,13 @@ class StopCost(Term):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WallCost(Term):
-    """Metres by which the footprint comes nearer to the walls of a rectangular lot than the margin, and a step.
+    """Length by which the footprint is nearer than the margin to the walls of a rectangular lot [m], plus a step.
 
     Attributes
     ----------
     half : half extents of the free area around the origin, (x, y) [m].
-    margin : clearance to keep [m]. step : cost of any violation on top.
+    margin : required clearance [m].
+    step : additional cost of any violation.
     """
 
     half: tuple[float, float] = (34.5, 20.5)
@@ -117,7 +119,7 @@ class WallCost(Term):
     step: float = 1.0
 
     def stages(self, trajectories: Trajectories) -> Any:
-        """(E, S, T)."""
+        """Costs, (E, S, T)."""
         states = trajectories.states
         cos, sin = np.abs(states[..., Parking.COS]), np.abs(states[..., Parking.SIN])
         along = np.abs(states[..., Parking.X]) + 0.5 * (LENGTH * cos + WIDTH * sin) - (self.half[0] - self.margin)
@@ -128,14 +130,16 @@ class WallCost(Term):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObstacleCost(Term):
-    """Metres by which the footprint comes nearer to standing rectangles than the margin, and a step.
+    """Length by which the footprint is nearer than the margin to rectangles at rest [m], plus a step.
 
-    The footprint is covered by discs, so that clearance is underestimated by at most their excess (0.18 m sideways).
+    The footprint is covered by discs, so clearance is underestimated by at most their excess (0.18 m sideways).
 
     Attributes
     ----------
-    boxes : (E, m, 5) or (m, 5): x, y [m], heading [rad], half length, half width [m]; NaN rows are nothing.
-    margin : clearance to keep [m]. step : cost of any violation on top. discs : how many cover the footprint.
+    boxes : (E, m, 5) or (m, 5): x, y [m], heading [rad], half length, half width [m]; NaN rows are ignored.
+    margin : required clearance [m].
+    step : additional cost of any violation.
+    discs : number of discs that cover the footprint.
     """
 
     boxes: Any
@@ -151,7 +155,7 @@ class ObstacleCost(Term):
         self._ready.extend((x, y, np.cos(heading), np.sin(heading), half_length, half_width))
 
     def stages(self, trajectories: Trajectories) -> Any:
-        """(E, S, T)."""
+        """Costs, (E, S, T)."""
         states = trajectories.states
         if not self._ready[0].shape[-1]:
             return np.zeros(states.shape[:3], states.dtype)

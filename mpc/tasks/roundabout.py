@@ -1,12 +1,12 @@
-r"""What a planner over meta-actions has to know of a roundabout: speed pays, contact never.
+r"""Task of a planner over meta-actions in a roundabout: reward for speed, cost of contact.
 
 Notation
 --------
-States are those of `dynamics.learned.tasks.roundabout_model`: every other vehicle in two rows, one that stays on at
-the next exit and one that leaves. Between two looked-at states a vehicle moves along the cubic through both places
+States are those of `dynamics.learned.tasks.roundabout_model`: every other vehicle has two rows, one that stays on at
+the next exit and one that leaves. Between two evaluated states a vehicle moves along the cubic through both positions
 with both velocities (Hermite); at 16 m/s and a radius of 22 m that is within 2 cm of the circle after 1 s. A vehicle
-is a rectangle along its direction; of the axes along which two rectangles can be apart those of the other vehicle are
-looked at, so that what counts as clear is clear.
+is a rectangle along its direction. Of the possible separating axes of two rectangles only those of the other vehicle
+are tested, so that a pair that counts as clear is clear.
 """
 
 from __future__ import annotations
@@ -28,19 +28,21 @@ __all__ = ["ClearanceCost", "RoundaboutTask", "RoundaboutWeights", "TargetCost",
 
 _PARTS = 6
 _STOPPED = 1e-6
-"""Slower than that, no direction is read from an observation [m/s]."""
+"""Speed below which an observation has no direction [m/s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class TargetCost(Term):
-    """How far the speed that the ego aims at is below the highest, from 0 to 1, for each decision.
+    """Shortfall of the target speed below the highest one, from 0 to 1, for each decision.
 
-    The environment pays for the index of the target speed, not for the speed: FASTER and SLOWER aim at the speed next
-    to the one nearest to the ego's. Source: `RoundaboutEnv._rewards` and `MDPVehicle.act` of highway-env 1.12.
+    The environment's reward is for the index of the target speed, not for the speed. FASTER and SLOWER set the target
+    speed next to the one nearest to the ego's speed. Source: `RoundaboutEnv._rewards` and `MDPVehicle.act` of
+    highway-env 1.12.
 
     Attributes
     ----------
-    speeds : target speeds [m/s], evenly spaced, ascending. faster, slower : numbers of those meta-actions.
+    speeds : target speeds [m/s], evenly spaced, ascending.
+    faster, slower : indices of those meta-actions.
     """
 
     speeds: tuple[float, ...]
@@ -48,7 +50,7 @@ class TargetCost(Term):
     slower: int
 
     def stages(self, trajectories: Trajectories) -> Any:
-        """(E, S, T)."""
+        """Costs, (E, S, T)."""
         t = trajectories
         first = np.broadcast_to(t.start[:, None, None], (*t.states.shape[:2], 1, t.states.shape[-1]))
         now = np.concatenate([first, t.states[:, :, :-1]], axis=2)
@@ -61,11 +63,12 @@ class TargetCost(Term):
 
 @dataclass(frozen=True, slots=True)
 class ClearanceCost(Term):
-    """A cost for coming too near to another vehicle: `entry` at the margins' edge, 1 at contact and ever after.
+    """Cost of coming too near to another vehicle: `entry` at the edge of the margins, 1 at contact and from then on.
 
     Attributes
     ----------
-    along, across : margins along and across the other vehicle [m]. growth : of both, for each second ahead [m/s].
+    along, across : margins along and across the other vehicle [m].
+    growth : growth of both margins for each second ahead [m/s].
     entry : cost of entering the margins.
     dt : duration of a decision [s].
     """
@@ -77,7 +80,7 @@ class ClearanceCost(Term):
     dt: float = 1.0
 
     def stages(self, trajectories: Trajectories) -> Any:
-        """(E, S, T)."""
+        """Costs, (E, S, T)."""
         t = trajectories
         e, s, steps = t.states.shape[:3]
         first = np.broadcast_to(t.start[:, None, None], (e, s, 1, t.start.shape[-1]))
@@ -90,7 +93,7 @@ class ClearanceCost(Term):
         cos, sin = way[..., 0], way[..., 1]
         turn_cos = np.abs(ego_way[:, :, None, ..., 0] * cos + ego_way[:, :, None, ..., 1] * sin)
         turn_sin = np.abs(ego_way[:, :, None, ..., 0] * sin - ego_way[:, :, None, ..., 1] * cos)
-        # Gaps between the bodies along and across the other one, over the margins there; the greater counts.
+        # Gaps between the bodies along and across the other one, relative to the margins there; the greater counts.
         half = 0.5 * LENGTH * turn_cos + 0.5 * WIDTH * turn_sin + 0.5 * LENGTH
         side = 0.5 * LENGTH * turn_sin + 0.5 * WIDTH * turn_cos + 0.5 * WIDTH
         ahead = self.growth * np.cumsum(seconds)[:, None]
@@ -105,7 +108,10 @@ class ClearanceCost(Term):
 
 
 def _between(states: Any, seconds: Any) -> tuple[Any, Any]:
-    """Places and directions at `_PARTS` times up to each state but the first: (..., T + 1, 6) to (..., T, parts, 2)."""
+    """Positions and directions at `_PARTS` times up to each state but the first.
+
+    The shapes are (..., T + 1, 6) of the states and (..., T, parts, 2) of the results.
+    """
     a, b = states[..., :-1, None, :], states[..., 1:, None, :]
     w = (np.arange(1, _PARTS + 1) / _PARTS).astype(states.dtype)[:, None]
     h = seconds[:, None, None].astype(states.dtype)
@@ -121,12 +127,14 @@ def _between(states: Any, seconds: Any) -> tuple[Any, Any]:
 
 @dataclass(frozen=True, slots=True)
 class RoundaboutWeights:
-    """How driving is paid for, for each decision.
+    """Weights of the costs, for each decision.
 
     Attributes
     ----------
-    pace : of the target speed. change : of a decision to change lanes. contact : of coming too near.
-    along, across, growth, entry : of `ClearanceCost`.
+    pace : weight of the target speed.
+    change : weight of a decision to change lanes.
+    contact : weight of coming too near.
+    along, across, growth, entry : parameters of `ClearanceCost`.
     """
 
     pace: float = 0.2
@@ -139,24 +147,24 @@ class RoundaboutWeights:
 
 
 def roundabout_settings() -> CategoricalSettings:
-    """How plans are searched for in a roundabout: 5 decisions ahead."""
+    """Settings of the search in a roundabout: 5 decisions ahead."""
     return CategoricalSettings(blocks=5, iterations=4, samples=128, elites=16)
 
 
 class RoundaboutTask:
-    """Reads Kinematics observations of highway-env's roundabout.
+    """Reads Kinematics observations of highway-env's roundabout, and defines the cost.
 
     Parameters
     ----------
-    env : the environment, wrapped or not, after a reset. Of it the road map, the ego's own route and the configuration
-        are read; of the traffic nothing but observations.
-    weights : how driving is paid for.
+    env : the environment, wrapped or not, after a reset. The road map, the ego's own route and the configuration are
+        read from it; the traffic is read from observations only.
+    weights : weights of the costs.
 
     Raises
     ------
     ConfigError
-        If it is not the roundabout, its observation not the absolute Kinematics that it comes with, or its actions are
-        no meta-actions.
+        If it is not the roundabout, its observation is not its default absolute Kinematics, or its actions are no
+        meta-actions.
     """
 
     def __init__(self, env: Any, weights: RoundaboutWeights | None = None) -> None:
@@ -183,7 +191,7 @@ class RoundaboutTask:
         self.exit_arm = "eswn".index(str(base.vehicle.route[-1][1])[0])
 
     def read(self, observation: Any) -> tuple[Any, Any, bool]:
-        """States (E, 6 + 8 * 2 V), a mark (E, 1), whether there was one alone; without `episode_start` all are one."""
+        """States (E, 6 + 8 * 2 V), episode marks (E, 1), which are all equal, and whether there was one observation."""
         array = np.asarray(observation, float)
         single = array.ndim == 2
         array = array[None] if single else array
@@ -191,7 +199,7 @@ class RoundaboutTask:
             raise DataError(f"a Kinematics observation has shape ({self.vehicles + 1}, 5), got {np.shape(observation)}")
         rows = array * self.scales
         speed = np.linalg.norm(rows[..., 3:], axis=-1, keepdims=True)
-        # Who has no speed at all is taken to point to the middle.
+        # A vehicle without speed is assumed to point to the centre.
         inward = -rows[..., 1:3] / np.maximum(np.linalg.norm(rows[..., 1:3], axis=-1, keepdims=True), 1e-6)
         way = np.where(speed > _STOPPED, rows[..., 3:] / np.maximum(speed, _STOPPED), inward)
         seen = np.concatenate([rows, way], axis=-1)
@@ -202,7 +210,7 @@ class RoundaboutTask:
         return states.astype(np.float32), np.zeros((len(rows), 1)), single
 
     def cost(self, observation: Any, started: Any) -> Sum:
-        """Target speed, changes and contact."""
+        """Weighted sum of target speed, lane changes and contact."""
         w = self.weights
         return (
             w.pace * TargetCost(self.speeds, self.faster, self.slower)

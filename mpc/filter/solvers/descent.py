@@ -1,4 +1,4 @@
-"""From one guess to a plan: linearise, solve, roll out, until the first input has settled and the rollout holds."""
+"""Descent from a guess to a plan: linearise, solve and roll out, until the first input has converged."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from mpc.filter.solvers.daqp import QuadraticSolver
 __all__ = ["Descent", "descend"]
 
 _STILL = 1e-9
-"""Speed backwards that rounding may leave [m/s]."""
+"""Backward speed up to which rounding is the cause [m/s]."""
 _ROUNDING = 1e-7
-"""Residual that rounding may leave; a solver that leaves more may leave a plan that rolls backwards, too [m/s]."""
+"""Residual up to which rounding is the cause; with larger ones a plan may roll backwards too [m/s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Descent:
-    """Where a guess has led. Attributes as in `FilterResult`; `solved` is the time spent in the solver [s]."""
+    """Result of a descent. Attributes as in `FilterResult`; `solved` is the time spent in the solver [s]."""
 
     status: Status
     inputs: FloatArray
@@ -40,22 +40,23 @@ class Descent:
 
     @property
     def rank(self) -> tuple[bool, float]:
-        """The smaller the better: a usable plan, then the smaller violation."""
+        """Rank of the result, better if smaller: usable plans first, then by violation."""
         return not self.status.usable, self.violation
 
 
 def descend(program: Question, solver: QuadraticSolver[Any], guess: FloatArray, deadline: float) -> Descent:
-    """Improve a guess (N, 2) by at most `settings.sweeps` linearisations; the sides are those of the guess.
+    """Improve a guess (N, 2) by at most `settings.sweeps` linearisations, with the sides of the guess.
 
-    Full steps, since the next linearisation repairs what the last one got wrong; one that is worse than the best
-    plan so far is taken half way back to it. The best plan is what is returned: a guess that holds is never lost.
+    Steps are full, because the next linearisation corrects the errors of the last one. A step to a worse plan than the
+    best so far is reduced to half way from the best one. The best plan is returned, so a guess that satisfies the
+    constraints is never lost.
 
     Parameters
     ----------
-    program : filled with the problem.
-    solver : of the quadratic programs.
-    guess : inputs; limited to the bounds here.
-    deadline : value of `perf_counter` after which no further linearisation is begun [s]; inf for none.
+    program : the program, filled with the problem.
+    solver : solver of the quadratic programs.
+    guess : inputs; they are clipped to the bounds.
+    deadline : value of `perf_counter` after which no further linearisation begins [s]; inf for none.
     """
     settings = program.settings
     low, high = program.limits
@@ -110,7 +111,7 @@ def descend(program: Question, solver: QuadraticSolver[Any], guess: FloatArray, 
                 break
     holds, settled = program.violation[0] < settings.tolerance, exact and change < settings.settled
     if status is not Status.ERROR and sweeps > 0 and not (holds and settled):
-        # The best that was met; a guess that still holds is a plan.
+        # Return the best inputs so far; a guess that still satisfies the constraints is a plan.
         program.inputs[:] = kept
         program.roll_out()
         status = Status.UNSETTLED if program.violation[0] < settings.tolerance else status
@@ -137,9 +138,13 @@ def descend(program: Question, solver: QuadraticSolver[Any], guess: FloatArray, 
 
 
 def _adopt(program: Question, wanted: FloatArray) -> bool:
-    """Take the proposal itself as the first input if the plan holds with it: nothing is nearer to it.
+    """Use the proposal itself as the first input, if the plan satisfies the constraints with it.
 
-    The second input makes up for the difference, so that the rest of the plan stays what it was.
+    The second input compensates the difference, so that the rest of the plan stays the same.
+
+    Returns
+    -------
+    Whether the proposal was adopted; otherwise the inputs are restored.
     """
     before = program.inputs[:2].copy()
     low, high = program.limits
@@ -154,7 +159,7 @@ def _adopt(program: Question, wanted: FloatArray) -> bool:
 
 
 def _stand(program: Question) -> None:
-    """Brake less where the plan would roll backwards by no more than the solver's accuracy, so that it stands."""
+    """Brake less where the plan would roll backwards within the solver's accuracy, so that it stops."""
     speeds = program.states[:, RoadState.SPEED]
     if not -program.settings.accuracy <= speeds.min() < -_STILL or program.state[RoadState.SPEED] < 0:
         return

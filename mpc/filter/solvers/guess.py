@@ -1,4 +1,4 @@
-"""Inputs to linearise about: the last plan moved on, or the proposal and then full braking."""
+"""Initial inputs of a descent: the last plan shifted in time, or the proposal and then full braking."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from mpc.filter.program.road_step import feed_forward, stage_expression
 __all__ = ["brake_guess", "braking_function", "in_force", "shifted"]
 
 _TURN = 0.1
-"""No stage of a braking guess turns the car by more than this relative to the road [rad]."""
+"""Greatest turn relative to the road in a stage of a braking guess [rad]."""
 _STRAIGHTEN = 0.5
-"""Share of the heading that a braking guess takes back in each stage."""
+"""Share of the heading that a braking guess corrects in each stage."""
 
 
 def shifted(plan: FloatArray, frames: int, settings: FilterSettings) -> FloatArray:
-    """The plan's inputs (N, 2) as seen `frames` later: those in force when each stage begins; the last one is held."""
+    """The plan's inputs (N, 2) `frames` later: those in force at the start of each stage; the last one is repeated."""
     return np.asarray(plan[in_force(frames, settings)])
 
 
 def in_force(frames: int, settings: FilterSettings) -> npt.NDArray[np.intp]:
-    """Which stage of a plan is in force when each stage of one that begins `frames` later begins, (N,)."""
+    """Index of the former stage in force at the start of each stage of a plan that begins `frames` later, (N,)."""
     ends = np.array(settings.ends)
     begins = ends - settings.frames + frames
     return np.minimum(np.searchsorted(ends, begins, side="right"), settings.stages - 1)
@@ -44,7 +44,7 @@ def brake_guess(problem: FilterProblem, settings: FilterSettings) -> FloatArray:
 
 @lru_cache(maxsize=16)
 def braking_function(settings: FilterSettings) -> ca.Function:
-    """State (4,), first inputs (2,) and curvatures (N,) to the braking guess (2, N); compiled once."""
+    """Compiled function from state (4,), first inputs (2,) and curvatures (N,) to the braking guess (2, N)."""
     n = settings.stages
     x0, first, curvature = ca.SX.sym("x", 4), ca.SX.sym("first", 2), ca.SX.sym("k", n)
     x, inputs = x0, []

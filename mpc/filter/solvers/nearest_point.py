@@ -1,12 +1,12 @@
-r"""The nearest point of a plane to the origin that satisfies linear constraints: the filter's program in one input.
+r"""Point nearest to the origin of a plane under linear constraints: the filter's program for one input.
 
 The problem
 -----------
     min |z|^2   s.t.   values + slopes (z - at) >= 0,   low <= z <= high,   z in R^2
 
-A strictly convex quadratic program in two unknowns. Its solution is the origin, or the foot of the origin on one of the
-lines, or where two of them cross: all of these are tried at once. (A solver that iterates, DAQP or OSQP, needs longer
-to be set up than this takes.)
+A strictly convex quadratic program in two unknowns. Its solution is the origin, the foot of the origin on one of the
+lines, or an intersection of two lines; all of these are tried. (The set-up of an iterative solver, DAQP or OSQP, takes
+longer than this.)
 
 >>> import numpy as np
 >>> at, box = np.zeros(2), np.ones(2)
@@ -31,23 +31,23 @@ __all__ = ["nearest"]
 _FLAT = 1e-9
 """Slope below which a constraint does not depend on the point."""
 _PARALLEL = 1e-9
-"""Sine of the angle between two lines below which they do not cross."""
+"""Sine of the angle between two lines below which they count as parallel."""
 _KEPT = 1e-9
-"""Violation that rounding may leave, times the slope."""
+"""Violation up to which rounding is the cause, times the slope."""
 
 
 def nearest(values: FloatArray, slopes: FloatArray, at: FloatArray, low: FloatArray, high: FloatArray) -> Any:
-    """Solve the problem above.
+    """Solve the problem of the module's docstring.
 
     Parameters
     ----------
-    values : of the constraints at the point `at`, (n,); those that are not finite are left out.
-    slopes : their gradients, (n, 2).
+    values : values of the constraints at the point `at`, (n,); values that are not finite are left out.
+    slopes : gradients of the constraints, (n, 2).
     at, low, high : (2,); the box must contain a point.
 
     Returns
     -------
-    The point (2,), or None where none satisfies them all.
+    The point (2,), or None if no point satisfies all constraints.
     """
     out = np.empty(2)
     return out if _solve(values, slopes, at, low, high, out) else None
@@ -55,14 +55,14 @@ def nearest(values: FloatArray, slopes: FloatArray, at: FloatArray, low: FloatAr
 
 @compiled
 def _solve(values: Any, slopes: Any, at: Any, low: Any, high: Any, out: Any) -> bool:
-    """Whether there is such a point, which `out` (2,) then is."""
+    """Whether a feasible point exists; the nearest one is written to `out` (2,)."""
     n, count = values.shape[0], 0
     normals, offsets = np.empty((n + 4, 2)), np.empty(n + 4)
     for i in range(n):
         value, x, y = values[i], slopes[i, 0], slopes[i, 1]
         if not (math.isfinite(value) and math.isfinite(x) and math.isfinite(y)):
             continue
-        # What holds everywhere in the box cannot be met with equality inside it.
+        # A constraint that holds in the whole box cannot be active inside it.
         across = min(x * (low[0] - at[0]), x * (high[0] - at[0])) + min(y * (low[1] - at[1]), y * (high[1] - at[1]))
         if value + across >= 0:
             continue
@@ -78,7 +78,7 @@ def _solve(values: Any, slopes: Any, at: Any, low: Any, high: Any, out: Any) -> 
             normals[count, 0], normals[count, 1] = sign * (i == 0), sign * (i == 1)
             offsets[count] = -low[i] if sign > 0 else high[i]
             count += 1
-    # The origin, the feet of the origin on the lines, and where two lines cross.
+    # Candidates: the origin, the feet of the origin on the lines, and intersections of two lines.
     best = np.inf
     for i in range(-1, count):
         for j in range(i, count) if i >= 0 else range(-1, 0):

@@ -1,14 +1,15 @@
-"""OSQP for the filter's quadratic programs in sparse form: one workspace each, updated in place, started warm.
+"""OSQP backend of the filter's quadratic programs in sparse form: one workspace each, updated in place, with warm
+start.
 
-OSQP gets `ROUND` iterations at a time. After each, `SparseProgram.judge` eliminates the states and says how far the
-answer is from optimal in the units that DAQP's answers are judged in; OSQP's own status and tolerances are not used.
-Rows that miss the bound that they should hold then hold on `_FIRMER` times harder: an adaptive rho for each row, at an
-interval of iterations. `max_iter` is the deadline, and nothing depends on the clock.
+OSQP runs `ROUND` iterations at a time. After each round, `SparseProgram.judge` eliminates the states and measures the
+optimality of the solution in the same units as for DAQP. OSQP's own status and tolerances are not used. Rows that miss
+their bound get a weight `_FIRMER` times larger: an adaptive rho for each row, after fixed numbers of iterations.
+`max_iter` is the deadline, and nothing depends on the clock.
 
-What OSQP does wrong silently is kept from it or found out: NaN in its data comes back as *solved* and poisons the
-workspace; bounds in the wrong order are refused on stderr only, and the old data solved; where it believes that there
-is no solution, it returns NaN or 1e9. So the data are checked before, the answer after, and a workspace that has raised
-or has answered nonsense is thrown away, with the warm start.
+OSQP has silent faults. NaN in its data returns *solved* and corrupts the workspace. Bounds in the wrong order are
+reported on stderr only, and the old data are solved. For problems that it takes to be infeasible it returns NaN or 1e9.
+So the data are checked before, and the solution after. A workspace that has raised an error or returned an invalid
+solution is discarded, with the warm start.
 """
 
 from __future__ import annotations
@@ -27,26 +28,26 @@ from mpc.filter.solvers.warm_start import WarmStart
 __all__ = ["ROUND", "OsqpSolver"]
 
 ROUND = 15
-"""Iterations between two looks at the answer."""
+"""Number of iterations between two checks of the solution."""
 _RHO = 0.03
-"""How hard a row of weight 1 holds on."""
+"""ADMM penalty of a row with weight 1."""
 _FIRMER, _FIRMEST = 4.0, 1e3
-"""Factor for a row that misses its bound, each time and all together."""
+"""Factor on the weight of a row that misses its bound, for each round, and its upper limit."""
 _STATIONARY, _FIRST, _GAP = 0.05, 5e-3, 1e-3
-"""Gradient of the Lagrangian by all inputs and by the first one, and gap, up to which an answer is exact. A first input
-that is half a range away costs 1, so that it is exact to a quarter of `_FIRST` of the range."""
+"""Largest gradient of the Lagrangian by all inputs and by the first one, and gap, of an exact solution. A first input
+half a range away costs 1, so the first input is exact to a quarter of `_FIRST` of the range."""
 
 
 class OsqpSolver:
-    """OSQP on the sparse programs.
+    """OSQP for the sparse programs.
 
     Parameters
     ----------
-    settings : accuracy and the limit of iterations.
+    settings : accuracy and limit of iterations.
 
     Attributes
     ----------
-    iterations : made for the last program.
+    iterations : number of iterations for the last program.
     """
 
     def __init__(self, settings: FilterSettings) -> None:
@@ -56,23 +57,23 @@ class OsqpSolver:
         self._slots: dict[int, _Slot] = {}
 
     def reset(self) -> None:
-        """Forget the workspaces and what they would start from."""
+        """Forget the workspaces and the warm start."""
         self._slots = {}
         self._warm.forget()
 
     def begin(self, frames: int | None) -> None:
-        """A new descent: the last answer is so many frames old, or (None) has nothing to do with it."""
+        """Start a new descent; the last solution is `frames` frames old, or unrelated (None)."""
         if frames is None:
             self._warm.forget()
         else:
             self._warm.shift(frames)
 
     def prepare(self, program: SparseProgram) -> None:
-        """Set up a workspace ahead of the first use."""
+        """Set up a workspace in advance."""
         self._slots[id(program)] = _Slot(program)
 
     def solve(self, program: SparseProgram) -> Answer:
-        """From the last answer. Never raises; what the deadline cuts off is handed on as not `exact`."""
+        """Solve with a warm start. Never raises an error; a solution cut off by the iteration limit is not `exact`."""
         self.iterations = 0
         if not _sane(program):
             return FAILED
@@ -80,7 +81,7 @@ class OsqpSolver:
             if id(program) not in self._slots:
                 self.prepare(program)
             answer = self._iterate(self._slots[id(program)], program)
-        except Exception:  # whatever a solver raises, the answer is that there is none
+        except Exception:  # any error of a solver means that there is no solution
             answer = FAILED
         if answer.x is None:
             self.reset()
@@ -107,7 +108,7 @@ class OsqpSolver:
 
 
 class _Slot:
-    """OSQP's workspace for one program, which it keeps alive so that the id stays its own."""
+    """OSQP's workspace for one program; the reference keeps the program's id unique."""
 
     def __init__(self, program: SparseProgram) -> None:
         import osqp
@@ -138,29 +139,29 @@ class _Slot:
         )
 
     def load(self, x: FloatArray, y: FloatArray) -> None:
-        """The program as it is now, to be started from there."""
+        """Load the present program, with a warm start."""
         self._firmness[:] = 1.0
         self._update(x, y)
 
     def hold_firmer(self, missing: Any, x: FloatArray, y: FloatArray) -> None:
-        """Those rows, the dynamics not counted (n,), hold on harder from here on."""
+        """Increase the weights of the rows `missing` (n,), which do not include the dynamics."""
         which = self._firmness[-missing.size :]
         which[missing] = np.minimum(which[missing] * _FIRMER, _FIRMEST)
         self._update(x, y)
 
     def go_on(self) -> tuple[FloatArray, FloatArray]:
-        """Another `ROUND` iterations: unknowns and multipliers."""
+        """Run another `ROUND` iterations, and return unknowns and multipliers."""
         found = self._object.solve(raise_error=False)
         return np.array(found.x, dtype=float), np.asarray(found.y * self._firmness)
 
     def _update(self, x: FloatArray, y: FloatArray) -> None:
         p, by = self._program, self._firmness
-        # OSQP writes into the arrays that it is given: they are copies.
+        # OSQP writes into its input arrays, so they are copies.
         self._object.update(Px=p.P.copy(), Ax=p.A * by[self._rows], q=p.q.copy(), l=p.l * by, u=p.u * by)
         self._object.warm_start(x=x, y=y / by)
 
 
 def _sane(program: SparseProgram) -> bool:
-    """Finite data and ordered bounds; NaN fails every comparison."""
+    """Whether data are finite and bounds ordered; NaN fails every comparison."""
     total = program.q.sum() + program.A.sum() + program.P.sum() + program.hold.sum()
     return bool(np.isfinite(total) and (program.l <= program.u).all())

@@ -1,6 +1,6 @@
-"""What OSQP starts from: the last answer's slack and multipliers, moved on in time with the plan.
+"""Warm start of OSQP: the last solution's slack and multipliers, shifted in time with the plan.
 
-The deviations themselves start at zero, which is the rollout of the guess, and the guess is the last plan moved on.
+The deviations start at zero, which is the rollout of the guess; the guess is the last plan shifted.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class WarmStart:
 
     Parameters
     ----------
-    settings : stages and moves, and the cost of slack.
+    settings : stages, moves, and cost of slack.
     """
 
     def __init__(self, settings: FilterSettings) -> None:
@@ -46,13 +46,13 @@ class WarmStart:
         self.forget()
 
     def forget(self) -> None:
-        """No constraint is active: all that holds is the slack, at zero."""
+        """Reset to a start without active constraints except the slack at zero."""
         moves = len(self._settings.moves)
         self._slack, self._multipliers = np.zeros(moves), np.zeros(self._size)
         self._multipliers[self._of_move[:, 2]] = -self._settings.penalty
 
     def shift(self, frames: int) -> None:
-        """As seen so many frames later: each stage takes over what was in force when it begins."""
+        """Shift by `frames` frames: each stage takes the values in force at its start."""
         stage = in_force(frames, self._settings)
         move = self._move[stage[self._last]]
         kept = self._multipliers.copy()
@@ -61,11 +61,11 @@ class WarmStart:
         self._multipliers, self._slack = kept, self._slack[move]
 
     def keep(self, x: FloatArray, y: FloatArray) -> None:
-        """The slack of the unknowns x, and multipliers y in the rows' own units."""
+        """Store the slack of the unknowns x, and multipliers y in the rows' own units."""
         self._slack, self._multipliers = x[self._inputs + self._states :].copy(), y
 
     def start(self, hold: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Unknowns and multipliers for a program whose rows are multiplied by `hold`."""
+        """Initial unknowns and multipliers for a program whose rows are multiplied by `hold`."""
         x = np.zeros(self._inputs + self._states + self._slack.size)
         x[self._inputs + self._states :] = self._slack
         return x, self._multipliers / hold

@@ -42,7 +42,7 @@ _out, _err = Console(), Console(stderr=True, highlight=False)
 
 
 class Door(StrEnum):
-    """Value of --door."""
+    """Value of `--door`."""
 
     ENV = "env"
     POLICY = "policy"

@@ -55,11 +55,11 @@ def falsify_command(
     """Search scenes and actions for the shielded episode that comes nearest to a crash.
 
     With idm: subset simulation over the numbers of a reset and the policy's actions; on road
-    networks over seeds and actions, with settings that simulate the traffic. With bold drivers
-    on straight highways: seed by seed, for a crash or a breach of the buffer without a recorded
+    networks over seeds and actions, with settings that simulate the traffic. With `bold` drivers
+    on straight highways: seed by seed, for a crash, or an intrusion into the buffer without a recorded
     violation (exit status 1), or for a violation recorded for a compliant driver. With drivers on
-    road networks: subset simulation over their inputs and the ego's proposals, for a breach by a
-    vehicle without a recorded violation (exit status 1).
+    road networks: subset simulation over their inputs and the ego's proposals, for an intrusion by
+    a vehicle without a recorded violation (exit status 1).
     """
     given = None if config is None else ShieldConfig.load(config)
     check_jobs(jobs)

@@ -1,4 +1,4 @@
-"""The commands that show results: film, picture, plot, table, figures, course, gallery, settings, config."""
+"""The commands that show results: `film`, `picture`, `plot`, `table`, `figures`, `course`, `gallery` and others."""
 
 from __future__ import annotations
 

@@ -7,9 +7,9 @@ highway-env's own traffic uses little of what the certificate permits. The drive
 - they straddle lanes, cut in before the ego with the smallest permitted gap, and change lanes by MOBIL.
 
 They keep to `Assumptions.idm()` and do not read the shield's own assumptions. A shield with these assumptions should
-record no violation and no breach of the buffer. With weaker assumptions it fails in one of two ways. A crash or a
-breach without a recorded violation is a hole in the certificate. A violation recorded for a compliant driver shows a
-wrong assumption.
+record no violation, and no vehicle should enter the ego's buffer. With weaker assumptions it fails in one of two ways.
+A crash or an intrusion into the buffer without a recorded violation is a hole in the certificate. A violation recorded
+for a compliant driver shows a wrong assumption.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ __all__ = ["Bold", "BoldEpisode", "drive_bold", "drive_bold_many", "man_highway"
 RULES = Assumptions.idm()
 """Assumptions that the drivers keep to, independent of the shield's."""
 BUFFER = Buffer()
-"""Buffer of the ego in this search; a vehicle inside it has breached it."""
+"""Buffer of the ego in this search; a vehicle inside it has intruded."""
 FAIL_SAFE = 9.8
 """Hardest braking of the ego in its fail-safe [m/s^2]."""
 _OFTEN = {"LANE_LEFT": 3.0, "LANE_RIGHT": 3.0, "FASTER": 2.0}
@@ -233,14 +233,14 @@ class Bold(IDMVehicle):  # type: ignore[misc]
 
 @dataclass(frozen=True, slots=True)
 class BoldEpisode:
-    """Result of one episode, up to the first breach or violation.
+    """Result of one episode, up to the first intrusion into the buffer or violation.
 
     Attributes
     ----------
     seed : seed of the episode, to repeat it.
     frames : number of frames.
     started : whether the first decision was verified; otherwise the episode does not count.
-    clearance : least distance of another vehicle from the ego with its `BUFFER` [m]; negative in a breach.
+    clearance : least distance of another vehicle from the ego with its `BUFFER` [m]; negative in an intrusion.
     crashed : whether the ego crashed.
     named : violations that the monitor recorded by then, by rule.
     """
@@ -259,7 +259,7 @@ class BoldEpisode:
 
     @property
     def unnamed(self) -> bool:
-        """Whether there was a breach without a recorded violation: a hole in the certificate."""
+        """Whether there was an intrusion without a recorded violation: a hole in the certificate."""
         return self.breached and not self.named
 
     @property
@@ -336,7 +336,7 @@ def drive_bold(
 ) -> BoldEpisode:
     """Drive one episode of a shielded ego with random actions among worst-case compliant drivers.
 
-    The episode ends with the first breach or violation.
+    The episode ends with the first intrusion into the ego's buffer or violation.
 
     Parameters
     ----------

@@ -72,7 +72,7 @@ class Met:
     began : number of episodes that began with a verified decision.
     named : number of episodes in which the monitor recorded a violation.
     by_rule : number of violations by rule.
-    holes : seeds of the episodes with a crash or a breach of the buffer and no recorded violation.
+    holes : seeds of the episodes with a crash or an intrusion into the buffer and no recorded violation.
     """
 
     find: Find
@@ -216,8 +216,8 @@ def falsify_among(
 ) -> Met:
     """Drive among worst-case compliant drivers in highway-env itself, until the first find or the limit of episodes.
 
-    The drivers keep to `Assumptions.idm()`. A recorded violation shows that the shield has other assumptions. A breach
-    without a recorded violation is a hole in the certificate.
+    The drivers keep to `Assumptions.idm()`. A recorded violation shows that the shield has other assumptions. An
+    intrusion into the buffer without a recorded violation is a hole in the certificate.
 
     Parameters
     ----------

@@ -3,7 +3,8 @@
 The guarantee: a vehicle either breaks a rule, and the monitor records that in the same frame, or it stays outside the
 ego's buffer. So the oracle counts the clearance of vehicles without a recorded violation. Counting starts with the
 first verified decision. It pauses after a disturbance: a violator in the way of the verified plan, a new wreck, or a
-wreck that is being pushed. A vehicle that owes the ego its distance may enter the buffer; for it the bodies count.
+wreck that is being pushed. A vehicle that must keep its distance from the ego may enter the buffer; for it the
+bodies count.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from shield.filters.network import RoadDoor
 __all__ = ["BUFFER", "Referee"]
 
 BUFFER = Buffer()
-"""Buffer of the ego in this check, independent of the shield's; a vehicle inside it has breached it."""
+"""Buffer of the ego in this check, independent of the shield's; a vehicle inside it has intruded."""
 _RULES = Assumptions.roads()
 _SHRINKS = 1e-6
 """Decrease of a margin beyond rounding [m]."""

@@ -38,7 +38,7 @@ class Find:
     policy : the policy that proposes; with `ANY` the proposals are `actions`.
     actions : the proposals, if the policy is `ANY`.
     clearance : least distance of the ego from another vehicle [m], 0 in a crash. Among other drivers than highway-env's
-        own it includes the ego's buffer, and is negative in a breach; see `RoadEpisode` on road networks.
+        own it includes the ego's buffer, and is negative in an intrusion; see `RoadEpisode` on road networks.
     drivers : one of `evaluation.falsification.falsify.TRAFFIC`. `"bold"` on a straight highway is determined by `seed`
         alone, without shares and actions.
     seed : seed of the scene on a road network with highway-env's own traffic; among other drivers there, the first of

@@ -131,10 +131,10 @@ class RoadEpisode:
     frames : number of frames.
     counted : number of frames in which the clearance counts.
     clearance : least distance from the ego with its `BUFFER` to an obstacle, or to a vehicle that is no wreck and has
-        no recorded violation [m]. For vehicles that owe the ego their distance, the distance of the bodies. Infinite
-        where nothing counts.
-    near : like `clearance`, but for vehicles that owe the ego their distance the gap that is left after both have
-        braked [m].
+        no recorded violation [m]. For vehicles that must keep their distance from the ego, the distance of the
+        bodies. Infinite where nothing counts.
+    near : like `clearance`, but for vehicles that must keep their distance from the ego the gap that is left after
+        both have braked [m].
     shrunk : number of frames in which a vehicle without a violation reduced the margin of the verified plan.
     margin : least margin after such a reduction [m]; infinite without one.
     crashed : whether the ego crashed.

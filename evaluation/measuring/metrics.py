@@ -40,7 +40,7 @@ _REASONS = [f"reason_{reason.value}" for reason in Reason if reason is not Reaso
 
 
 def summarise(episodes: pd.DataFrame) -> pd.DataFrame:
-    """One row per setting, policy, door and mode, in the order in which they first appear.
+    """One row per setting, policy, `door` and mode, in the order in which they first appear.
 
     Returns
     -------

@@ -147,7 +147,7 @@ def _config(shield: Mapping[str, Any]) -> ShieldConfig:
 
 
 def _shielded(rows: list[dict[str, Any]]) -> str:
-    """Text that says which rows can be replayed."""
+    """Text about the rows that can be replayed."""
     numbers = [k for k, row in enumerate(rows) if row.get("door") != "none"]
     return f"with one were {numbers[0]} to {numbers[-1]}" if numbers else "none has one"
 

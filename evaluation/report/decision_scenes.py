@@ -179,7 +179,7 @@ class Duties:
     goal : the lane that the ego enters.
     path : road states of the ego after frames 1..K, (K, 4).
     owes : obligation of each vehicle, (m,).
-    separations : separation of the plan from each vehicle, (m,) [m]; +inf for one that owes its distance.
+    separations : separation of the plan from each vehicle, (m,) [m]; +inf for one that must keep its distance.
     margin : margin of the plan [m].
     survey : the surveyor that computed these values.
     """

@@ -27,7 +27,7 @@ def plot_noise(episodes: pd.DataFrame, path: str | Path) -> Path:
 
     Parameters
     ----------
-    episodes : table of `shield evaluate --sensor exact,normalised-0.1,normalised-0.2`, say, or with metric sensors.
+    episodes : table of `shield evaluate --sensor exact,normalised-0.1,normalised-0.2`, or with metric sensors.
     path : path of the file, ending as in `PLOT_ENDINGS`; folders are created.
 
     Returns

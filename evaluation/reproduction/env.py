@@ -29,7 +29,7 @@ class ReportEnv(gym.Env[Any, Any]):
     G then gives the same value to a steady reward for every frequency of interruptions. With the sum it would avoid
     interrupted skills.
 
-    `info["shield"]["overridden"]` says whether the shield overrode a primitive step, and `info["steps"]` is their
+    `info["shield"]["overridden"]` is whether the shield overrode a primitive step, and `info["steps"]` is their
     number.
 
     Parameters

@@ -57,9 +57,9 @@ class Driver:
 
     Attributes
     ----------
-    env : the environment, as a `ShieldedEnv` if the variant says so.
+    env : the environment, as a `ShieldedEnv` for `door` "env".
     policy : the policy without a shield.
-    driver : the policy that drives, as a `Shield` if the variant says so.
+    driver : the policy that drives, as a `Shield` for `door` "policy" and "actions".
     recorder, log : records of the last episode.
     """
 

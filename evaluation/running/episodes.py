@@ -156,7 +156,7 @@ def _run_specs(specs: Sequence[DriverSpec], seeds: Sequence[int], engine: Engine
 
 
 def _key(row: dict[str, Any]) -> tuple[str, str, int]:
-    """Door, mode and seed of a row."""
+    """Columns `door`, `mode` and `seed` of a row."""
     return row["door"], row["mode"], row["seed"]
 
 

@@ -126,7 +126,7 @@ def make_variants(
     perceptions: Sequence[str] = ("simulator",),
     setting: Setting | None = None,
 ) -> list[Variant]:
-    """Make the variants of each mode, door and perception; the mode "none" is one variant without a shield.
+    """Make the variants of each mode, `door` and perception; the mode "none" is one variant without a shield.
 
     Parameters
     ----------

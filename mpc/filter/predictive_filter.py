@@ -99,7 +99,7 @@ class PredictiveFilter:
 
         Returns
         -------
-        The result; `status` says how to use it. Values of any kind, including NaN, raise no error.
+        The result; `status` contains the advice for its use. Values of any kind, including NaN, raise no error.
 
         Raises
         ------

@@ -2,8 +2,8 @@
 
 A *kernel* is a compiled function of arrays and scalars: the loops over vehicles, candidates and frames. numba compiles
 a kernel again when its file has changed, and only then. Here a kernel is compiled again when its own bytecode, a kernel
-that it calls, or a global value that it reads has changed. So kernels may call kernels of other files, a copy of the
-sources finds the machine code, and an edit of a comment or a docstring compiles nothing.
+that it calls, or a global value that it reads has changed. So kernels may call kernels of other files, and a copy of
+the sources finds the machine code. An edit of a comment or a docstring compiles nothing.
 """
 
 from __future__ import annotations

@@ -181,8 +181,8 @@ def _braking_way(i: int, v: float, wrecked: bool, brakes: FloatArray, motion: Mo
 def floors(
     others: FloatArray, states: FloatArray, stretch: FloatArray, motion: Motion, order: IntArray, bodies: Bodies
 ) -> None:
-    """Fill in `floor` of `bodies`: the least s at which a vehicle's centre comes to rest, or to which it may reverse
-    behind a vehicle in its lanes. Otherwise a reversing vehicle comes to rest within `motion.runout`."""
+    """Fill in `floor` of `bodies`: the least s at which a vehicle's centre comes to rest. It is less if the vehicle may
+    reverse behind a vehicle in its lanes. Otherwise a reversing vehicle comes to rest within `motion.runout`."""
     m, brakes, floor = states.shape[0], bodies.brakes, bodies.floor
     first, last, low, high = bodies.first, bodies.last, bodies.low, bodies.high
     for n in range(m):

@@ -124,8 +124,13 @@ class Ego(NamedTuple):
 
 
 class _Limits(NamedTuple):
-    """The limits that `judge_motions` checks, with the rounding tolerance: accelerations [m/s^2], power [m^2/s^3],
-    speeds [m/s], `period` between the scenes [s], length of the `lap` [m], and `frames` in the period."""
+    """The limits that `judge_motions` checks, with the rounding tolerance.
+
+    Attributes
+    ----------
+    braking, acceleration, power, fastest, reversing, slow : from `Assumptions` [m/s^2, m^2/s^3, m/s].
+    period : time between the scenes [s], of `frames` frames. lap : length of a closed road, 0 of an open one [m].
+    """
 
     braking: float
     acceleration: float

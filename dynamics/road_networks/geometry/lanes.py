@@ -2,8 +2,8 @@
 
 Notation
 --------
-On a lane, s [m] is the distance along its centre line from its start, negative before it, and r [m] the distance
-across, positive to the right in the direction of travel (highway-env's y points down).
+On a lane, s [m] is the distance along its centre line from its start, negative before it. r [m] is the distance across,
+positive to the right in the direction of travel (highway-env's y points down).
 """
 
 from __future__ import annotations

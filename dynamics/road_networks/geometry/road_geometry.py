@@ -2,7 +2,7 @@
 
 Notation
 --------
-On a lane, s [m] is the distance along it from its start, negative before it, and r [m] the distance across, positive to
+On a lane, s [m] is the distance along it from its start, negative before it. r [m] is the distance across, positive to
 the right in the direction of travel. x, y [m] and heading [rad] are highway-env's; its y points down, so angles grow
 clockwise. On a sine, s is along the line that it winds around and r across that line, as in highway-env.
 

@@ -30,8 +30,8 @@ __all__ = ["ALIGNED", "Subject", "stand"]
 
 _LENGTH, _WIDTH = int(Vehicle.LENGTH), int(Vehicle.WIDTH)
 ALIGNED, _TURNING, _OVERLAY = 0.5, 0.9, 2.0
-"""A vehicle may follow a lane of another road if its heading deviates from it by less than `ALIGNED` [rad], or by less
-than `_TURNING` [rad] while it enters it. A vehicle between lanes also has to be within `_OVERLAY` of the centre [m].
+"""Greatest deviation of a vehicle's heading from a lane of another road that it may follow: `ALIGNED` [rad], or
+`_TURNING` [rad] while it enters the lane. A vehicle between lanes also has to be within `_OVERLAY` of the centre [m].
 Where roads part, several lanes satisfy this."""
 _SWEEP = 0.5
 """How much further a body may reach while it turns into a lane from beside it [m]."""

@@ -230,7 +230,7 @@ WATCHED = (
         "counted_on",
         "_ and _[1][_] and _[_] and _",
         "{1} and {2}[1][{3}] and {4}[{3}]",
-        f"{_ASIDE}::test_one_that_leaves_the_lane_that_it_owes_in_is_named_where_the_plan_suffers",
+        f"{_ASIDE}::test_a_follower_that_leaves_its_lane_and_spoils_the_plan_is_a_violator",
     ),
     off(
         "a follower that may join the lane that the plan enters is not counted on",
@@ -238,7 +238,7 @@ WATCHED = (
         "counted_on",
         "_[1] >= 0 or _[_[0], _] or (_ < _ and _ > _)",
         "{2}[{1}[0], {4}] or ({5} < {6} and {7} > {8})",
-        f"{_ASIDE}::test_one_that_turns_into_the_lane_beside_the_one_that_the_plan_enters_is_named_where_the_plan_suffers",
+        f"{_ASIDE}::test_a_vehicle_that_turns_beside_the_entered_lane_and_spoils_the_plan_is_a_violator",
     ),
     off(
         "SIZE off",

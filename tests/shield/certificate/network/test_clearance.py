@@ -1,4 +1,4 @@
-"""What the certificate on road networks asks of a path, one clause at a time, in scenes that are put together."""
+"""Clauses of the certificate on road networks, one at a time, in constructed scenes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HARD = 9.8
 
 
 def scene(env_id, lane, s, speed, others=(), things=(), config=None):
-    """A door before which the ego is at s [m] of a lane, with others as (lane, s, speed)."""
+    """A filter whose ego is at s [m] of a lane, with other vehicles as (lane, s, speed)."""
     env = gym.make(env_id)
     env.reset(seed=0)
     base = env.unwrapped
@@ -56,16 +56,17 @@ def margin(door, seconds, speed, lenient=False):
 RING, NEXT, ENTRY = ("se", "ex", 0), ("ex", "ee", 0), ("ses", "se", 0)
 
 
-def test_those_ahead_may_brake():
-    """Keeping its speed for two seconds behind one as fast, the ego has to be further away than that one may stop."""
+def test_a_leader_may_brake_on_a_network():
+    """An ego that keeps its speed for two seconds behind an equally fast leader needs the leader's stopping
+    distance."""
     lane = ("a", "b", 0)
     assert margin(scene("merge-v0", lane, 60.0, 20.0, [(lane, 90.0, 20.0)]), 2.0, 20.0) < CLEAR
     assert margin(scene("merge-v0", lane, 60.0, 20.0, [(lane, 115.0, 20.0)]), 2.0, 20.0) >= CLEAR
 
 
-def test_whoever_comes_along_the_ring_has_not_to_wait():
-    """An ego that would enter and stop before one that comes along does not: highway-env's traffic does not see it in
-    the lane before; of traffic that looks ahead it may be expected."""
+def test_a_vehicle_on_the_ring_does_not_wait_for_an_entering_ego():
+    """An ego that enters and stops before a vehicle on the ring is refused: highway-env's traffic does not see the
+    ego from the lane before. Traffic that looks ahead may be expected to brake."""
     before = ("sx", "se", 1)
     there = [(before, 2.0, 16.0)]
     blind = scene("roundabout-v0", ENTRY, 5.0, 6.0, there)
@@ -74,9 +75,10 @@ def test_whoever_comes_along_the_ring_has_not_to_wait():
 
 
 @pytest.mark.parametrize("env_id", ["roundabout-v1", "roundabout-generic-v1"])
-def test_who_is_ahead_on_a_ring_is_not_behind(env_id):
-    """Where one looks beyond the end of its lane it comes up behind the ego as well, once around, and owes it its
-    distance there: not where it is. The path stays in the lane of that one: in the next nobody owes anything."""
+def test_a_vehicle_ahead_on_a_ring_does_not_count_as_a_follower(env_id):
+    """A vehicle that looks beyond the end of its lane reaches the ego once around the ring too, and must keep its
+    distance there, not at its present place. The path stays in the lane of that vehicle; in the next lane no vehicle
+    has an obligation."""
     door = scene(env_id, RING, 2.0, 3.0, [(RING, 9.0, 1.0)], config=ShieldConfig.for_roads(looks_ahead=True))
     alone = margin(door, 1.0, 3.0)
     assert alone < CLEAR
@@ -86,21 +88,20 @@ def test_who_is_ahead_on_a_ring_is_not_behind(env_id):
     assert margin(door, 1.0, 3.0, lenient=True) == alone
 
 
-def test_those_behind_see_the_ego_in_their_own_lane_only():
-    """The ego stops just behind where the lane of the one behind it ends."""
+def test_a_follower_sees_the_ego_in_its_own_lane_only():
+    """The ego stops just beyond the end of the follower's lane."""
     lane, after = ("a", "b", 0), ("b", "c", 0)
     behind = [(lane, 180.0, 20.0)]
     door = scene("merge-v0", after, 6.0, 5.0, behind)
     assert margin(door, 0.0, 0.0) < CLEAR
     ahead = scene("merge-v0", after, 6.0, 5.0, behind, config=ShieldConfig.for_roads(looks_ahead=True))
     assert margin(ahead, 0.0, 0.0) >= CLEAR
-    # In its own lane it does.
+    # In its own lane the follower sees the ego.
     assert margin(scene("merge-v0", after, 60.0, 5.0, [(after, 10.0, 20.0)]), 0.0, 0.0) >= CLEAR
 
 
-def test_they_may_accelerate():
-    """Bounds on the way are those of the hardest braking and acceleration, frame by frame; one that creeps may steer so
-    hard that it gains less."""
+def test_bounds_on_travel_are_those_of_hardest_braking_and_acceleration():
+    """Frame by frame. A creeping vehicle may steer so hard that it gains less along its lane."""
     rows, drive = np.array([[0.0, 0.0, 0.0, 10.0, 5.0, 2.0, 0.0]]), np.array([[14.0, 1.0, 1.0, 3.0, 0.34]])
     least, most = np.zeros((1, 60)), np.zeros((1, 60))
     reach(Conduct(6.0, 3.0, 30.0, 0.6, 0.15), rows, drive, 0.1, least, most)
@@ -112,8 +113,8 @@ def test_they_may_accelerate():
             way, speed = way + gained * speed * 0.1, min(max(speed + rate * 0.1, low), high)
 
 
-def test_one_that_has_to_come_over_does_not_wait():
-    """Beside the ego on merge's ramp, which ends; beside it in a lane that does not, one stays."""
+def test_a_vehicle_that_has_to_merge_does_not_wait_for_the_ego():
+    """Beside the ego on merge's ramp, which ends. Beside the ego in a lane that does not end, a vehicle stays."""
     lane = ("b", "c", 1)
     ramp = scene("merge-v0", lane, 20.0, 20.0, [(("b", "c", 2), 22.0, 20.0)])
     assert margin(ramp, 0.0, 20.0) < CLEAR
@@ -121,8 +122,8 @@ def test_one_that_has_to_come_over_does_not_wait():
     assert margin(road, 0.0, 20.0) >= CLEAR
 
 
-def test_one_behind_that_has_to_come_over_owes_nothing():
-    """On merge's ramp it may drive past, and come over then; in the ego's own lane it brakes."""
+def test_a_follower_that_has_to_merge_has_no_obligation():
+    """On merge's ramp a follower may drive past the ego and merge then; in the ego's own lane it brakes."""
     lane, ramp = ("b", "c", 1), ("b", "c", 2)
     for behind, owes in ((ramp, False), (lane, True)):
         door = scene("merge-v0", lane, 60.0, 5.0, [(behind, 10.0, 20.0)])
@@ -130,8 +131,8 @@ def test_one_behind_that_has_to_come_over_owes_nothing():
         assert door.is_owed_by(door._base.road.vehicles[1]) == owes
 
 
-def test_who_rolls_back_before_an_ego_that_rests_does_so_until_it_stands():
-    """At 3 m/s, braking at 6 m/s², it comes back 0.85 m in frames of 1/15 s, long after the ego stands."""
+def test_a_vehicle_that_rolls_back_does_so_until_it_stands():
+    """At -3 m/s, with 6 m/s² of braking, a vehicle rolls back 0.85 m in frames of 1/15 s, long after the ego stands."""
     lane = ("a", "b", 0)
     standing, rolling = (
         margin(scene("merge-v0", lane, 60.0, 0.0, [(lane, 69.0, speed)]), 0.0, 0.0) for speed in (0.0, -3.0)
@@ -140,22 +141,22 @@ def test_who_rolls_back_before_an_ego_that_rests_does_so_until_it_stands():
     assert standing - rolling == pytest.approx(-speeds.sum() / 15, rel=0.15)
 
 
-def test_what_stands_is_in_the_way():
+def test_an_obstacle_ahead_blocks_a_path():
     lane = ("a", "b", 0)
     assert margin(scene("merge-v0", lane, 60.0, 20.0, things=[(lane, 75.0)]), 0.0, 20.0) < CLEAR
     assert margin(scene("merge-v0", lane, 60.0, 20.0, things=[(lane, 120.0)]), 0.0, 20.0) >= CLEAR
 
 
-def test_the_buffer_is_kept():
-    """Behind one that stands, the ego comes no nearer than its buffer."""
+def test_the_buffer_behind_a_standing_vehicle_is_kept():
+    """Behind a standing vehicle the ego comes no nearer than its buffer."""
     lane = ("a", "b", 0)
     room = 2.5 + 2.7 + 2.0
     least = [margin(scene("merge-v0", lane, 60.0, 0.0, [(lane, 60.0 + room + d, 0.0)]), 0.0, 0.0) for d in (-0.3, 0.3)]
     assert least[0] < CLEAR <= least[1]
 
 
-def test_who_is_about_to_leave_its_lane_is_still_in_it():
-    """Two metres before the end of its lane a vehicle may begin to turn into the next, and comes into it from there."""
+def test_a_vehicle_near_the_end_of_its_lane_is_in_that_lane_and_the_next():
+    """Two metres before the end of its lane a vehicle may begin to turn into the next lane."""
     door = scene("intersection-v0", ("o1", "ir1", 0), 10.0, 0.0, [(("o0", "ir0", 0), 98.0, 1.0)])
     marks = door._others.marks
     lanes = [door._names[lane] for lane in marks[:, 1]]
@@ -165,8 +166,8 @@ def test_who_is_about_to_leave_its_lane_is_still_in_it():
         assert marks[lanes.index(("ir0", lane, 0)), 2] == own
 
 
-def test_who_is_beside_its_lane_comes_back():
-    """One that stays astride, straight on, has not broken any other rule."""
+def test_a_vehicle_beside_its_lane_has_to_return():
+    """A vehicle that drives straight on astride a marking breaks this rule and no other."""
     lane, seen = ("a", "b", 0), []
     door = scene("merge-v0", lane, 150.0, 0.0, [(lane, 20.0, 15.0)])
     base = door._base
@@ -181,8 +182,8 @@ def test_who_is_beside_its_lane_comes_back():
         assert watch.by_rule == broken
 
 
-def test_it_does_not_turn_aside_into_a_lane_that_ends():
-    """Before its end the ego would stand for good."""
+def test_the_ego_does_not_evade_into_a_lane_that_ends():
+    """At the end of that lane the ego would stand for good."""
     door = scene("merge-v0", ("b", "c", 1), 20.0, 20.0)
     lanes = []
     for aside in (-1, 1):
@@ -193,8 +194,8 @@ def test_it_does_not_turn_aside_into_a_lane_that_ends():
 
 
 @pytest.mark.parametrize("gap", [9.0, 12.0, 15.0])
-def test_the_last_resort_brakes(gap):
-    """So near behind a slower one that nothing is verified, the buffer gone or not."""
+def test_the_largest_margin_fallback_brakes(gap):
+    """Too near behind a slower vehicle for any plan to verify, with the buffer lost or not."""
     lane = ("a", "b", 1)
     door = scene("two-way-v0", lane, 60.0, 30.0, [(lane, 60.0 + gap, 20.0)])
     assert not door.decide(3).tier.verified
@@ -218,24 +219,24 @@ def on_ring(others, config=None):
     return margin(scene("roundabout-v0", RING, 8.0, 8.0, others, config=config), 3.0, 8.0)
 
 
-def test_who_enters_a_roundabout_waits_where_that_is_assumed():
-    """And not where it is not, or one that cannot any more."""
+def test_an_entering_vehicle_waits_for_the_ego_where_waiting_is_assumed():
+    """No vehicle waits without that assumption, nor a vehicle that can no longer stop."""
     comes, late = [(("eer", "ees", 0), 100.0, 8.0)], [(BEFORE, 14.0, 12.0)]
     assert on_ring(comes) < CLEAR <= on_ring(comes, WAITS)
     assert on_ring(late, WAITS) < CLEAR
 
 
-def test_those_with_as_much_right_of_way_or_more_do_not_wait():
-    """Who comes along the ring does not wait for an ego that enters; nor does one on the ring for one ahead of it that
-    it does not see."""
+def test_a_vehicle_with_equal_or_higher_priority_does_not_wait():
+    """A vehicle on the ring does not wait for an entering ego, nor for an ego ahead on the ring that it does not
+    see."""
     there = [(("sx", "se", 1), 2.0, 16.0)]
     assert margin(scene("roundabout-v0", ENTRY, 5.0, 6.0, there, config=WAITS), 3.0, 8.0) < CLEAR
     assert on_ring([(("we", "sx", 0), 10.0, 16.0)], WAITS) == on_ring([(("we", "sx", 0), 10.0, 16.0)])
 
 
 @pytest.mark.parametrize(("ego", "other", "waits"), [("1", "0", True), ("0", "1", False), ("0", "2", True)])
-def test_priorities_of_an_intersection_count(ego, other, waits):
-    """The road across has the right of way, and whoever comes the other way waits before it turns left."""
+def test_the_priorities_of_an_intersection_decide_which_vehicle_waits(ego, other, waits):
+    """The crossing road has the right of way, and an oncoming vehicle waits before it turns left."""
     there = [((f"o{other}", f"ir{other}", 0), 60.0, 9.0)]
     config = ShieldConfig.for_roads(6.0, gives_way=True)
     door = scene("intersection-v0", (f"o{ego}", f"ir{ego}", 0), 99.0, 9.0, there, config=config)
@@ -245,8 +246,8 @@ def test_priorities_of_an_intersection_count(ego, other, waits):
     assert (margin(door, seconds, 9.0) >= CLEAR) == waits
 
 
-def test_they_have_time_to_react():
-    """Who has waited to react already stops where one that has not does not; who is at rest need not."""
+def test_a_vehicle_that_waits_has_its_reaction_time_first():
+    """A vehicle whose reaction time has passed stops where another does not."""
     clear = None
     for s in range(112, 124):
         door = scene("roundabout-v0", RING, 8.0, 8.0, [(("eer", "ees", 0), float(s), 14.0)], config=WAITS)
@@ -270,8 +271,8 @@ def from_the_lane_before(ego):
 
 
 @pytest.mark.parametrize(("way", "speed"), [(40.0, 0.0), (3.0, 0.4), *later((3.0, 0.0), (41.3, 8.0), (118.0, 11.47))])
-def test_who_comes_from_the_lane_before_gains_nothing_by_how_the_frames_fall(way, speed):
-    """It brakes, goes on or accelerates for a frame: the ego that stands before it is as far from it as it was."""
+def test_the_margin_to_a_vehicle_of_the_lane_before_does_not_drop_in_a_frame(way, speed):
+    """The vehicle brakes, keeps its speed or accelerates for a frame; the ego stands ahead of it."""
     dt, (end, stays) = 1 / 15, from_the_lane_before(70.0)
     then = stays(end - way, speed)
     for rate in (-6.0, -1.7, 0.0, 1.1, 3.0):
@@ -281,8 +282,8 @@ def test_who_comes_from_the_lane_before_gains_nothing_by_how_the_frames_fall(way
 
 @pytest.mark.parametrize("way", [10.0, *later(25.0, 40.0)])
 @pytest.mark.parametrize("speed", [2.9, *later(1.0, 2.0)])
-def test_who_comes_from_the_lane_before_gains_nothing_by_creeping(way, speed):
-    """Steering hard, it gets a third of its way along its lane."""
+def test_a_creeping_vehicle_of_the_lane_before_lowers_no_margin(way, speed):
+    """A vehicle that steers hard covers a third of its way along its lane."""
     dt, (end, stays) = 1 / 15, from_the_lane_before(40.0)
     then = stays(end - way, speed)
     assert then > 0
@@ -293,8 +294,8 @@ def test_who_comes_from_the_lane_before_gains_nothing_by_creeping(way, speed):
 @pytest.mark.parametrize(
     ("start", "speed", "rate"), [(20.0, 8.0, 0.0), (60.0, 20.0, -6.0), *later((5.0, 4.0, 3.0), (70.0, 15.0, 3.0))]
 )
-def test_coming_over_from_a_lane_that_ends_is_no_offence(start, speed, rate):
-    """By highway-env's own controller, anywhere on merge's ramp, whatever the throttle."""
+def test_a_merge_from_a_lane_that_ends_is_no_violation(start, speed, rate):
+    """With highway-env's own controller, anywhere on merge's ramp, at any throttle."""
     door = scene("merge-v0", ("a", "b", 0), 20.0, 0.0, [(("b", "c", 2), start, speed)])
     body, frames = door._base.road.vehicles[1], 0
     while body.lane_index == ("b", "c", 2) and body.speed > 0.5:
@@ -302,7 +303,7 @@ def test_coming_over_from_a_lane_that_ends_is_no_offence(start, speed, rate):
         wheel = body.steering_control(("b", "c", 1))
         Vehicle.act(body, {"acceleration": rate, "steering": float(np.clip(wheel, -np.pi / 3, np.pi / 3))})
         body.step(1 / door._frequency)
-        door._base.steps += 1  # the door judges each frame once
+        door._base.steps += 1  # the filter judges each frame once
         door._read()
         assert not door.have_broken([body], since)
         frames += 1
@@ -310,15 +311,15 @@ def test_coming_over_from_a_lane_that_ends_is_no_offence(start, speed, rate):
 
 
 @pytest.mark.parametrize("lane", [("k", "b", 0), ("b", "c", 2)])
-def test_who_stands_in_a_lane_that_ends_waits_there(lane):
-    """Who is as slow before it does not: it has the time to come to be faster."""
+def test_a_vehicle_that_stands_in_a_lane_that_ends_waits_there(lane):
+    """A vehicle as slow before that lane does not wait: it has the time to accelerate."""
     door = scene("merge-v0", ("a", "b", 0), 20.0, 0.0, [(lane, 40.0, 0.4)])
     lanes = {door._names[each] for each in door._others.marks[:, 1]}
     assert (("b", "c", 1) in lanes) == (lane == ("k", "b", 0))
 
 
-def test_who_stands_astride_may_come_over():
-    """It has not kept to its lane, so that it is not waiting there."""
+def test_a_vehicle_that_stands_astride_a_marking_may_merge():
+    """It has not kept to its lane, so it does not count as waiting there."""
     lane = ("b", "c", 2)
     door = scene("merge-v0", ("a", "b", 0), 20.0, 0.0, [(lane, 40.0, 0.3)])
     body = door._base.road.vehicles[1]
@@ -330,9 +331,9 @@ def test_who_stands_astride_may_come_over():
 
 
 @pytest.mark.parametrize(("gap", "clear"), [(16.0, False), (20.0, True), (28.0, True)])
-def test_who_owes_its_distance_is_asked_for_no_more_than_it_can(gap, clear):
-    """The ego brakes from 20 m/s, and one as fast behind it has no more than 6 m/s^2: 14 m, and a body, if it does at
-    once; for which it owes its distance."""
+def test_a_follower_is_asked_for_no_more_braking_than_it_can_do(gap, clear):
+    """The ego brakes from 20 m/s; the follower is as fast and brakes at 6 m/s² at most. With an obligation, and
+    braking at once, it needs 14 m and a body length."""
     lane = ("a", "b", 0)
     door = scene("merge-v0", lane, 60.0, 20.0, [(lane, 60.0 - gap, 20.0)])
     index = door._index[lane]
@@ -344,8 +345,8 @@ def test_who_owes_its_distance_is_asked_for_no_more_than_it_can(gap, clear):
 
 
 @pytest.mark.parametrize("brakes", [True, False])
-def test_who_is_behind_and_does_not_brake_is_named(brakes):
-    """As soon as braking no longer helps: at 15 m/s that is 19 m before the ego, which cannot go on."""
+def test_a_follower_that_does_not_brake_is_a_violator(brakes):
+    """It is named once braking no longer helps: at 15 m/s, 19 m before the ego, which cannot go on."""
     lane = ("a", "b", 0)
     door = scene("merge-v0", lane, 100.0, 0.0, [(lane, 60.0, 15.0)], [(lane, 106.0)])
     body, named, verified = door._base.road.vehicles[1], [], []
@@ -357,12 +358,12 @@ def test_who_is_behind_and_does_not_brake_is_named(brakes):
         if door.watch.by_rule and not named:
             named.append(room)
             assert door.watch.offenders == {body}
-        # It is counted on for as long as it can.
+        # The follower is counted on for as long as it can stop.
         assert verified[-1] == (not named)
         hard = brakes and room - 1.0 < body.speed * 2 / 15 + (body.speed + 0.2) ** 2 / 12
         Vehicle.act(body, {"acceleration": -6.0 if hard else 0.0, "steering": 0.0})
         body.step(1 / door._frequency)
-        door._base.steps += 1  # the door judges each frame once
+        door._base.steps += 1  # the filter judges each frame once
     door.frame()
     assert set(door.watch.by_rule) == (set() if brakes else {Breach.DISTANCE})
     assert brakes or named[0] == pytest.approx(15.0**2 / 12, abs=1.5)

@@ -1,4 +1,4 @@
-"""Whoever owes the ego its distance owes it as long as it is behind its body, across the joints of lanes."""
+"""A follower's obligation lasts while the follower is behind the ego's body, across the joints of lanes."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ IDLE = 1
 
 
 def creep_up(length, width, step, until):
-    """A follower comes up to a standing ego that is inclined against its lane, until so near its body [m]; each frame
-    yields the decision, the door and how near it is."""
+    """A follower creeps up to a standing ego that is at an angle to its lane, down to a gap [m]; each frame yields
+    the decision, the filter and the gap."""
     env = gym.make("roundabout-v0")
     env.reset(seed=0)
     base = env.unwrapped
@@ -42,9 +42,9 @@ def creep_up(length, width, step, until):
 
 
 @pytest.mark.parametrize(("length", "width"), [(5.0, 2.0), (1.0, 2.0), (0.6, 0.5)])
-def test_a_follower_that_creeps_up_to_the_body_keeps_its_duty(length, width):
-    """Across the joint or not, the ego at an angle: in each frame a path verifies, and nobody has broken a rule. It
-    comes as near as it may be where it is at most so much askew, and can still brake."""
+def test_a_follower_that_creeps_up_to_the_body_keeps_its_obligation(length, width):
+    """Across the joint or not, with the ego at an angle: in each frame a path verifies, and no rule is broken. The
+    follower comes as near as the rules let it."""
     step, nearest = 0.005, np.inf
     until = 0.1 * width + 2 * step
     for decision, door, nearest in creep_up(length, width, step, until):

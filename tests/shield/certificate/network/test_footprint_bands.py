@@ -1,4 +1,4 @@
-"""Where a body on a lane is taken to be: all of its outline is inside what the worst case on roads takes it to fill."""
+"""Bands of bodies on a lane: the outline of a body is inside the band that the worst case assumes."""
 
 import functools
 
@@ -76,7 +76,7 @@ LENGTHS, WIDTHS = st.floats(0.5, 12.0), st.floats(0.4, 3.0)
 
 @functools.cache
 def road_of(env_id):
-    """A door, and a vehicle besides the ego."""
+    """A filter, and one vehicle besides the ego."""
     env = gym.make(env_id)
     env.reset(seed=1)
     base = env.unwrapped
@@ -137,10 +137,8 @@ def test_every_strip_of_a_body_encloses_its_outline(env_id, which, share, r, ang
     length=LENGTHS,
     width=WIDTHS,
 )
-def test_a_body_that_keeps_to_its_lane_takes_no_more_of_it_than_is_foreseen(
-    env_id, which, share, r, angle, length, width
-):
-    """What is foreseen of a body that will be somewhere else on a lane, as far across as it may be, and askew."""
+def test_a_body_that_keeps_to_its_lane_stays_inside_the_predicted_band(env_id, which, share, r, angle, length, width):
+    """The predicted band of a body elsewhere on the lane, as far across and as much at an angle as the rules permit."""
     door, body = road_of(env_id)
     road, lanes = door._road, door._base.road.network.lanes_dict()
     number = int(which * len(lanes))
@@ -157,8 +155,8 @@ def test_a_body_that_keeps_to_its_lane_takes_no_more_of_it_than_is_foreseen(
 
 
 def decided(env_id, ego, other):
-    """What a standing ego that would drive on is told with one other vehicle that stands: each is the lane, s and r
-    [m], the angle to the lane [rad] and the length [m]."""
+    """The decision for a standing ego that proposes to drive on, with one standing vehicle. Both are given as lane,
+    s and r [m], angle to the lane [rad] and length [m]."""
     env = gym.make(env_id)
     env.reset(seed=1)
     base = env.unwrapped
@@ -185,15 +183,15 @@ def test_a_body_reaches_past_the_end_of_half_a_circle(s, clear):
 
 
 @pytest.mark.parametrize(("length", "clear"), [(12.0, True), (40.0, False)])
-def test_a_body_of_any_size_is_in_the_way(length, clear):
-    """One that stands across merge's ramp, 14 m beside the ego's lane, reaches into that if it is long."""
+def test_a_body_across_another_lane_blocks_the_ego_if_it_is_long(length, clear):
+    """A vehicle stands across merge's ramp, 14 m beside the ego's lane; a long one reaches into that lane."""
     ego, other = (("a", "b", 0), 60.0, 0.0, 0.0, 5.0), (("j", "k", 0), 62.0, 0.0, np.pi / 2, length)
     assert decided("merge-v0", ego, other).tier.verified == clear
 
 
-def test_what_is_judged_of_one_does_not_depend_on_another():
-    """A long body that turns across the lane that another leads to has the ego looked at there from further away: what
-    is found of the other was to be found before."""
+def test_the_margin_to_a_vehicle_does_not_depend_on_another():
+    """A long body turns across a lane to which the lane of another vehicle leads, so the ego is looked up there from
+    further away. The result for the other vehicle stays the same."""
     margins = []
     for angle in (0.0, -1.7):
         env = gym.make("u-turn-v0")

@@ -1,4 +1,4 @@
-"""What attacks on the certificate of road networks have found, driven again."""
+"""Failures that attacks on the network certificate have found, driven again."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -20,9 +20,9 @@ DENSE = {"vehicles_density": 2.5, "vehicles_count": 50}
         *(("exit-v0", {}, seed, RIGHT) for seed in (25, 43, 56, 60)),
     ],
 )
-def test_the_lane_that_the_ego_is_in_is_tried_where_the_one_beside_is_taken(env_id, config, seed, action):
-    """At the first decision nothing is stored: only the lane that was asked for was tried, and the ego steered into
-    whoever was there. In the first three it crashed."""
+def test_the_lane_of_the_ego_is_tried_where_the_lane_beside_is_occupied(env_id, config, seed, action):
+    """At the first decision no plan is stored. Once only the proposed lane was tried, and the ego steered into the
+    vehicle there; in the first three cases it crashed."""
     env = ShieldedEnv(gym.make(env_id, config=config), "worst-case")
     env.reset(seed=seed)
     mask = env.action_masks()
@@ -54,10 +54,10 @@ class Weaving(Vehicle):
 
 
 @pytest.mark.parametrize("start", [21.86, 21.88, 21.89, 21.9, 21.91, 21.93])
-def test_who_gets_shorter_takes_nothing_away_from_what_is_verified(start):
-    """The ego was to rest with its rear just beyond the end of a lane. Whoever would have reached it from there was
-    taken to wait before it, and so never to come to the next lane; as it turned its body grew too short to reach it,
-    and then it did come, and had broken no rule."""
+def test_a_follower_that_turns_and_gets_shorter_takes_no_plan_away(start):
+    """The ego was to rest with its rear just beyond the end of a lane. A vehicle that would have reached the ego
+    from there was assumed to wait, and so never to enter the next lane. As it turned, its body became too short to
+    reach the ego, and it entered the next lane without breaking a rule."""
     env = ShieldedEnv(gym.make("merge-v0"), "worst-case")
     env.reset(seed=1)
     base, lane = env.unwrapped, ("b", "c", 1)
@@ -82,7 +82,7 @@ def test_who_gets_shorter_takes_nothing_away_from_what_is_verified(start):
 
 
 @pytest.mark.parametrize("kind", ["sound", "wreck", "object"])
-def test_whatever_appears_is_named(kind):
+def test_a_body_that_appears_in_the_way_is_a_violator(kind):
     env = ShieldedEnv(gym.make("merge-v0"), "worst-case")
     env.reset(seed=1)
     base = env.unwrapped
@@ -131,7 +131,7 @@ def creeping(road, at, way, growth):
 
 
 class Sliding(Vehicle):
-    """A wreck; as highway-env has it, or one that drives on."""
+    """A wreck that slides as in highway-env, or drives on."""
 
     brakes = True
 
@@ -141,8 +141,8 @@ class Sliding(Vehicle):
 
 
 @pytest.mark.parametrize(("way", "growth"), [(0.0, 0.0), (0.05, 0.0), (5.0, 0.0), (0.0, 0.05)])
-def test_an_object_that_moves_or_grows_is_named(way, growth):
-    """However little it moves: what is granted in each frame would add up."""
+def test_an_object_that_moves_or_grows_is_a_violator(way, growth):
+    """However little it moves: a tolerance in each frame would add up."""
     rules = alone_with(lambda road, ego: creeping(road, ego.position + np.array([90.0, 0.0]), way, growth))
     assert rules == ({"moved": 1} if way or growth else {})
 
@@ -159,7 +159,7 @@ def test_a_wreck_slides_as_highway_env_has_it_or_is_named(speed, brakes):
 
 
 class Growing(Vehicle):
-    """A vehicle that stands, and grows towards the ego; nobody else moves it."""
+    """A standing vehicle that grows towards the ego; no other code moves it."""
 
     growth = 0.0
 
@@ -178,9 +178,9 @@ def test_a_body_that_grows_into_the_way_of_the_fail_safe_is_named(growth):
     assert alone_with(standing, 6).get("grown", 0) == (1 if growth else 0)
 
 
-def test_nothing_is_promised_beyond_the_end_of_the_road():
-    """highway-env sends an ego that has come to the end of a two-way road back on the other side: one that stands there
-    has not broken a rule, and the certificate has not failed."""
+def test_no_plan_is_verified_beyond_the_end_of_the_road():
+    """highway-env turns an ego at the end of a two-way road back to the other side. A vehicle that stands there has
+    broken no rule, and the certificate has not failed."""
     env = ShieldedEnv(gym.make("two-way-v0", config={"policy_frequency": 15}), "worst-case")
     env.reset(seed=0)
     base = env.unwrapped

@@ -1,5 +1,5 @@
-"""Loopholes of the worst case on road networks, found by hand: whoever takes the ego's room is named, and nobody who
-keeps the rules is unforeseen."""
+"""Loopholes of the worst case on road networks, found by hand: a vehicle that takes the ego's room is named, and no
+vehicle that keeps the rules is reported as unforeseen."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def body(road, position, heading, speed, size=(5.0, 2.0)):
 
 
 def alone(env_id, frequency):
-    """An ego with nobody around it, and the road."""
+    """An ego without other vehicles, and the road."""
     config = {"simulation_frequency": frequency, "policy_frequency": 1, "duration": 100}
     env = ShieldedEnv(gym.make(env_id, config=config), "worst-case")
     env.reset(seed=0)
@@ -92,9 +92,9 @@ def drive(env, action, steps, after, collide=False):
 
 
 @pytest.mark.parametrize("length", [1.0, 3.0, 3.4, 5.0])
-def test_a_short_follower_around_the_ring_is_foreseen(length):
-    """It owes its distance to the body a frame after a path is verified against the buffer: what comes after the lane
-    in which the ego is to rest has to be shut to it in both, or in neither."""
+def test_a_short_follower_around_the_ring_causes_no_prediction_mismatch(length):
+    """The follower's obligation is to the body, one frame after a path is verified against the buffer. The lane
+    after the ego's resting place has to be closed to the follower in both frames, or in neither."""
     env, road, ego = alone("roundabout-v1", 15)
     ring = [("sx", "se", 1), ("se", "ex", 1), ("ex", "ee", 1), ("ee", "nx", 1), ("nx", "ne", 1)]
     lanes = [road.network.get_lane(index) for index in ring]
@@ -116,9 +116,9 @@ def test_a_short_follower_around_the_ring_is_foreseen(length):
     assert not env.door.by_rule
 
 
-def test_what_two_strips_of_a_lane_lead_to_is_shut_with_both():
-    """A long vehicle at the end of an approach turns on the spot, behind an ego that will stop at the joint: it has two
-    strips of the next lane then, and what comes after it is shut with both."""
+def test_a_lane_that_two_reachable_intervals_lead_to_is_closed_with_both():
+    """A long vehicle at the end of an approach turns on the spot, behind an ego that will stop at the joint. It then
+    has two reachable intervals in the next lane, and the lane after that is closed with both."""
     env, road, ego = alone("roundabout-v0", 30)
     rng = np.random.default_rng(4)
     index = ("sx", "se", 1)
@@ -134,7 +134,7 @@ def test_what_two_strips_of_a_lane_lead_to_is_shut_with_both():
     assert "unforeseen" not in env.door.by_rule
 
 
-def test_a_lane_is_shut_where_all_that_leads_to_it_is():
+def test_a_lane_is_closed_where_all_lanes_that_lead_to_it_are():
     """A body within 3 m of a joint has two strips of the lane that goes on; both lead to the next."""
     env, road, _ = alone("roundabout-v0", 30)
     road.vehicles.append(body(road, [2.27, 42.92], -1.7255, 0.0, (14.6, 2.6)))
@@ -222,9 +222,9 @@ def test_a_stale_lane_index_is_not_believed():
 
 
 @pytest.mark.parametrize(("frequency", "speed"), [(5, 25.0), (10, 40.0)])
-def test_one_that_points_at_the_ego_for_a_frame_has_left_its_ways(frequency, speed):
-    """Its body stays in its band, in the lane beside the ego's; highway-env makes the ego crash all the same, for what
-    both would do at constant velocity."""
+def test_a_vehicle_that_points_at_the_ego_for_one_frame_is_a_violator(frequency, speed):
+    """Its body stays in its band, in the lane beside the ego's. highway-env counts a crash all the same, because of
+    where both would be at constant velocity."""
     env, road, ego = alone("merge-v1", frequency)
     ego.speed = ego.target_speed = speed
     it = body(road, ego.position + np.array([-1.0, -ego.position[1] - 0.6]), 0.0, speed)
@@ -241,9 +241,9 @@ def test_one_that_points_at_the_ego_for_a_frame_has_left_its_ways(frequency, spe
     assert env.door.by_rule.get("ways") == 1
 
 
-def test_one_that_has_pointed_out_of_its_lane_all_along_has_left_its_ways_where_it_would_hit_the_ego():
-    """It drives along its lane askew, and catches up with the ego in the lane beside: its body keeps to the middle of
-    its lane, and what it takes of it does not change."""
+def test_a_vehicle_that_always_drives_askew_is_a_violator_where_it_would_hit_the_ego():
+    """It drives along its lane at an angle and catches up with the ego in the lane beside. Its body keeps to the
+    middle of its lane, and its extent across the lane does not change."""
     env, road, ego = alone("merge-v1", 5)
     ego.speed = ego.target_speed = 20.0
     it = body(road, ego.position + np.array([-12.0, -ego.position[1] + 0.1]), 0.49, 25.0, (2.0, 1.0))
@@ -260,8 +260,8 @@ def test_one_that_has_pointed_out_of_its_lane_all_along_has_left_its_ways_where_
     assert env.door.by_rule == {"ways": 1}
 
 
-def test_what_takes_the_last_of_a_margin_is_named_however_little_it_is():
-    """Tolerances of the rules add up, frame by frame: they are far below what is left of a path that is clear."""
+def test_a_motion_beyond_the_bound_that_uses_up_a_margin_is_a_violation_of_any_size():
+    """Tolerances of the rules add up, frame by frame. They are far below the margin of a path that is clear."""
     env, road, ego = alone("merge-v1", 15)
     ahead = body(road, ego.position + np.array([80.0, 0.0]), 0.0, 20.0)
     road.vehicles.append(ahead)
@@ -280,9 +280,9 @@ def test_what_takes_the_last_of_a_margin_is_named_however_little_it_is():
 
 
 @pytest.mark.parametrize("offset", [10.0, 10.3, 10.6, 10.9])
-def test_a_long_body_that_points_along_the_ring_is_foreseen_where_it_goes_straight_on_for_a_frame(offset):
-    """highway-env looks for collisions in the coming frame at constant velocity: on an arc the front of a truck, at the
-    outer edge of its lane, so hits an ego at rest in the lane beside. Its lane was taken to hold it."""
+def test_a_truck_on_the_ring_is_predicted_with_one_frame_straight_ahead(offset):
+    """highway-env checks collisions in the coming frame at constant velocity. On an arc, the front of a truck at the
+    outer edge of its lane so hits an ego at rest in the lane beside. The lane was once assumed to contain the truck."""
     env, road, ego = alone("roundabout-v0", 15)
     put_on(ego, ("ex", "ee", 1), 8.0, 0.0, 0.0, 0)
     speed, length, radius = 19.9, 12.0, 20.0

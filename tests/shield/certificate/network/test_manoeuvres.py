@@ -1,4 +1,4 @@
-"""What is tried on a road network in place of a decision, and what is left of it a frame later."""
+"""Candidate manoeuvres on a road network, and what remains of one a frame later."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ def tried(asked):
 
 
 @given(ASKED)
-def test_what_is_wished_comes_before_what_is_in_its_place(asked):
+def test_the_proposal_is_tried_before_its_replacements(asked):
     tiers = [tier for _, tier in tried(asked)]
     assert tiers == sorted(tiers, key=[Tier.PASSED, Tier.GOVERNED].index)
     assert all(course[:3] == (*asked[0], COMMITTED) for course, tier in tried(asked) if tier is Tier.PASSED)
 
 
 @given(ASKED)
-def test_nothing_is_faster_than_the_wish_or_than_can_be_had(asked):
+def test_no_candidate_is_faster_than_the_proposal_or_the_vehicle_can_be(asked):
     wish, stored, speed, bound, _ = asked
     for course, tier in tried(asked):
         if tier is Tier.GOVERNED and course is not stored:
@@ -40,7 +40,7 @@ def test_nothing_is_faster_than_the_wish_or_than_can_be_had(asked):
 
 
 @given(ASKED)
-def test_what_was_verified_and_to_stand_still_are_always_tried(asked):
+def test_the_stored_plan_and_a_standstill_are_always_candidates(asked):
     wish, stored, *_ = asked
     courses = [course for course, _ in tried(asked)]
     assert stored is None or stored in courses
@@ -48,12 +48,12 @@ def test_what_was_verified_and_to_stand_still_are_always_tried(asked):
 
 
 @given(LANES, SPEEDS, st.integers(0, 20), st.sampled_from([-1, 0, 1]), LANES)
-def test_a_course_that_is_gone_on_with_ends_in_braking(lane, speed, frames, aside, bound):
+def test_a_continued_manoeuvre_ends_in_braking(lane, speed, frames, aside, bound):
     course = Course(lane, speed, COMMITTED, frames, aside, BRAKING)
     for left in reversed(range(frames)):
         course = gone_on_with(course, bound)
         assert (course.lane, course.frames, course.aside) == (bound, left, aside)
-    # It turns aside once: in the frame in which it begins to brake.
+    # It turns aside once, in its first frame of braking.
     course = gone_on_with(course, bound)
     assert (course.frames, course.aside) == (0, 0)
     assert gone_on_with(course, bound) == course

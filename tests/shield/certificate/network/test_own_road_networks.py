@@ -1,6 +1,8 @@
-"""Networks that highway-env does not have: a lane that leads nowhere and points at the ego's road, a lane that ends
-close beside the ego's, and a loop by which a vehicle comes back. A plan that has verified stays verified, or somebody
-is named."""
+"""Networks that highway-env does not have: a lane that ends pointing at the ego's road, a lane that ends close beside
+the ego's, and a loop.
+
+A verified plan stays verified, or the monitor names a violator.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,7 @@ VERIFIED = ("passed", "governed")
 
 
 class Network(AbstractEnv):
-    """An ego on a network that a test builds, with nobody else."""
+    """An ego on a network that a test builds, without other vehicles."""
 
     build, start, speed = None, None, 0.0
 
@@ -81,7 +83,7 @@ def shielded(builder, start, speed, frequency):
 
 
 def scripted(env, place):
-    """A vehicle that goes where it is told."""
+    """A vehicle whose place in each frame is a function of the test."""
     road = env.unwrapped.road
     x, y, heading, speed = place(0)
     vehicle = Scripted(road, [x, y], heading, speed)
@@ -115,9 +117,9 @@ def north(gap, away, speed, frequency):
 
 
 @pytest.mark.parametrize(("gap", "speed", "frequency"), [(11, 10.0, 10), (17, 20.0, 5), (40, 20.0, 15)])
-def test_a_vehicle_that_drives_off_a_lane_that_leads_nowhere_is_foreseen(gap, speed, frequency):
-    """It keeps its heading and its speed, and reaches an ego that cannot get away: nothing verified, and it has left no
-    way."""
+def test_a_vehicle_that_drives_off_a_dead_end_is_predicted(gap, speed, frequency):
+    """The vehicle keeps its heading and speed, and reaches an ego that cannot get away. No plan verified, and the
+    vehicle has left no lane of its route."""
     env = shielded(dead_end(gap), (("w", "e", 0), 100.0), 0.0, frequency)
     scripted(env, north(gap, 30.0, speed, frequency))
     tiers = drive(env, SLOWER, 8 * frequency)
@@ -127,8 +129,8 @@ def test_a_vehicle_that_drives_off_a_lane_that_leads_nowhere_is_foreseen(gap, sp
 
 
 @pytest.mark.parametrize("away", [2.0, 30.0])
-def test_an_ego_lets_a_vehicle_pass_that_drives_off_a_lane_that_leads_nowhere(away):
-    """Verified in each frame, and nobody is named."""
+def test_the_ego_lets_a_vehicle_pass_that_drives_off_a_dead_end(away):
+    """Each frame is verified, and no vehicle is named."""
     env = shielded(dead_end(25), (("w", "e", 0), 60.0), 10.0, 10)
     vehicle = scripted(env, north(25, away, 10.0, 10))
     tiers = drive(env, FASTER, 80)
@@ -159,9 +161,9 @@ def beside(away, speed, frequency, brakes_from=math.inf):
 
 
 @pytest.mark.parametrize("away", [45.0, 60.0])
-def test_who_sees_the_ego_in_a_lane_that_ends_owes_it_its_distance_in_the_one_beside(away):
-    """The ego rests in the lane beside, visible in both. A vehicle that has to come over may do so; one that drives on
-    has not kept its distance, one that brakes in time has."""
+def test_a_follower_in_a_lane_that_ends_has_an_obligation_in_the_lane_beside(away):
+    """The ego rests in the lane beside, visible in both. A follower that has to merge may do so. A follower that
+    drives on breaks the distance rule, one that brakes in time does not."""
     for brakes_from, rules in ((math.inf, {"distance"}), (1, set())):
         env = shielded(narrow, (("a", "b", 0), 200.0), 0.0, 15)
         scripted(env, beside(away, 18.0, 15, brakes_from))
@@ -200,8 +202,8 @@ def around(network, start, way):
     return place
 
 
-def test_a_second_pass_over_a_lane_is_foreseen_however_far_ahead_it_is():
-    """A vehicle has just crossed the ego's road, and comes by again after a loop of more than 250 m: an ego that cannot
+def test_a_second_pass_over_a_lane_is_predicted_at_any_distance():
+    """A vehicle has just crossed the ego's road, and returns after a loop of more than 250 m. An ego that cannot
     leave the crossing does not enter it."""
     env = shielded(loop, (("w", "e", 0), 92.0), 0.0, 10)
     base = env.unwrapped
@@ -214,9 +216,9 @@ def test_a_second_pass_over_a_lane_is_foreseen_however_far_ahead_it_is():
 
 
 @pytest.mark.parametrize("rate", [0.0, 3.0, -6.0])
-def test_what_is_foreseen_around_a_loop_lies_in_what_was_foreseen_before(rate):
-    """A later pass is left out where an earlier one contains it, and is kept once that may be left. Along the
-    whole loop all that is foreseen lies within what was foreseen a frame before."""
+def test_reachable_intervals_around_a_loop_lie_inside_those_of_the_frame_before(rate):
+    """A later pass is left out where an earlier one contains it, and is kept once the vehicle may leave the earlier
+    one. This holds along the whole loop."""
     env = shielded(loop, (("w", "e", 0), 0.0), 0.0, 10)
     network, dt, passes = env.unwrapped.road.network, 0.1, set()
     vehicle = scripted(env, around(network, 0.0, lambda frame: (0.0, 10.0)))

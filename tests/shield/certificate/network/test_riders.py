@@ -1,4 +1,4 @@
-"""Riders that deviate on networks of roads as far as the monitor lets them: nobody gets into the buffer unnamed."""
+"""Vehicles that deviate on road networks as far as the monitor permits: none comes into the buffer unnamed."""
 
 import pytest
 from road_riders import ride_roads
@@ -19,8 +19,9 @@ from slowly import later
         ),
     ],
 )
-def test_whoever_gets_into_the_buffer_is_named(env_id, seed, rate):
-    """Nor is a plan lost, or anybody unforeseen, while nobody has broken a rule; the first four were found so."""
+def test_a_vehicle_that_comes_into_the_buffer_is_a_violator(env_id, seed, rate):
+    """Without a violation, no plan is lost and no prediction mismatch is reported. The first four cases were once
+    failures."""
     tally = ride_roads(env_id, seed, rate)
     assert tally.frames > 0
     assert (tally.clean, tally.crashed, tally.lost, tally.unforeseen) == (0, False, 0, 0)

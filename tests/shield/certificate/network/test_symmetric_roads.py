@@ -1,8 +1,8 @@
-"""Where a road is the same from each of its arms, so is what is decided there.
+"""On a road that is the same from each of its arms, the decisions are the same.
 
 A roundabout looks the same after each quarter turn. An intersection does so after each half turn: its horizontal road
-has the right of way, and after a quarter turn another yields; but who counts on nobody to yield decides alike then,
-too. No road is its own mirror image: traffic keeps to the right.
+has the right of way, and after a quarter turn the other road yields. A filter that counts on no vehicle to yield
+decides alike then, too. No road is its own mirror image: traffic keeps to the right.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from evaluation.measuring.rectangles import separation
 SETTINGS = settings(deadline=None, max_examples=12, suppress_health_check=list(HealthCheck))
 SEEDS = st.integers(0, 2**32 - 1)
 TOLERANCE = {"exact": 0.2, "worst case": 0.05}
-"""Of margins [m]. Who all but stands is steered by rounding errors in highway-env, and displaced by centimetres until
-it does: 6 cm at most in 85 scenes, and 1.4 cm where the ego alone is simulated."""
+"""Tolerance of margins [m]. highway-env steers a nearly standing vehicle by rounding errors, which displace it by
+centimetres: at most 6 cm in 85 scenes, and 1.4 cm where the ego alone is simulated."""
 RING = "senw"
 """The roundabout's arms, and first letters of its nodes, as traffic passes them."""
 
@@ -78,7 +78,8 @@ def rows_of(env):
 
 
 def seen_from(env_id, door, seed, quarters):
-    """The bodies, and what is decided of one proposal, in a scene turned so often; None where some overlap."""
+    """The bodies and the decision for one proposal, in a scene turned by quarter turns; None where some bodies
+    overlap."""
     rng = np.random.default_rng(seed)
     ego, others = SCENES[env_id](rng)
     env = placed(env_id, door, turned(ego, quarters), [turned(each, quarters) for each in others])
@@ -124,12 +125,12 @@ def crossing(door, quarters):
     return [env.step(2) and env.unwrapped.vehicle.speed for _ in range(5)]
 
 
-def test_who_has_the_right_of_way_is_not_held_back():
-    """What a quarter turn changes at the intersection: where the other yields, there is no reason to brake."""
+def test_an_ego_with_the_right_of_way_is_not_held_back():
+    """A quarter turn matters at the intersection: where the other vehicle yields, the ego has no reason to brake."""
     assert min(crossing("exact", 1)) > 8.0 > min(crossing("exact", 0))
     assert DOORS.keys() == TOLERANCE.keys()
 
 
 @pytest.mark.parametrize("door", DOORS)
-def test_so_is_the_drive(door):
+def test_turning_the_scene_changes_no_drive(door):
     np.testing.assert_allclose(crossing(door, 2), crossing(door, 0), atol=1e-6)

@@ -1,5 +1,5 @@
-"""What one frame may change on a network of roads: whatever is read of a vehicle that keeps the rules becomes no worse
-for the ego, so that what has been verified stays verified."""
+"""One frame on a road network: the reachable set of a vehicle that keeps the rules does not grow, so a verified plan
+stays verified."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ HARD = 9.8
 
 
 class Scene:
-    """A door in front of an environment with the ego and one other vehicle, which are put anywhere."""
+    """A filter in front of an environment with the ego and one other vehicle, both placed freely."""
 
     def __init__(self, env_id, size=(5.0, 2.0)):
         env = gym.make(env_id)
@@ -49,7 +49,7 @@ class Scene:
         self.put(vehicle, lane, at.position(s, r), at.heading_at(s), speed)
 
     def see(self):
-        """The scene; nobody owes the ego its distance."""
+        """The scene, without obligations."""
         self.door._read()
         self.door._others.owes[:] = False
         return self.door._others
@@ -76,9 +76,9 @@ class Scene:
             yield self.door._look()
 
 
-def test_who_becomes_narrow_at_the_outer_edge_of_an_arc_and_so_gets_further_is_named():
-    """Its body stays where it was, but the middle of it is further from that of the lane: a metre that it drives there
-    is more of the lane."""
+def test_a_vehicle_that_narrows_at_the_outer_edge_of_an_arc_is_a_violator():
+    """Its outline stays where it was, but its centre is further from the lane's centre: a metre driven there is more
+    of the lane."""
     scene, length = Scene("u-turn-v0"), 1.556
     lane = scene.network.get_lane(("b", "c", 0))
     s, r = lane.local_coordinates(np.array([135.664, 44.529]))
@@ -87,13 +87,14 @@ def test_who_becomes_narrow_at_the_outer_edge_of_an_arc_and_so_gets_further_is_n
     before, after = scene.looks(wide, narrow)
     assert after.others.most[0, -1] > before.others.most[0, -1] + 1.0
     assert scene.rules(before, after) == {Breach.WAYS}
-    # And the other way round it is the body that grows.
+    # The other way round, the body grows.
     assert Breach.GROWN in scene.rules(after, before)
 
 
 @pytest.mark.parametrize("column", range(5))
-def test_whatever_says_how_far_a_vehicle_gets_is_compared(column):
-    """Each column of `Others.drive`, to the side that has it get further, or less far, than before."""
+def test_every_quantity_that_bounds_a_vehicle_s_travel_is_monitored(column):
+    """Each column of `Others.drive`, changed to the side on which the vehicle reaches further, or less far, than
+    before."""
     scene, lane = Scene("merge-v0"), ("b", "c", 2)
     at = scene.network.get_lane(lane).position(30.0, 0.0)
     before, after = scene.looks((lane, at, 0.0, 5.0, 2.0), (lane, at, 0.0, 5.0, 2.0))
@@ -106,9 +107,9 @@ def test_whatever_says_how_far_a_vehicle_gets_is_compared(column):
 
 
 @pytest.mark.parametrize(("turned", "r", "gap"), [(0.2, 2.6, 7.1), (0.1, 2.8, 7.5), (0.3, 2.8, 7.0)])
-def test_who_rolls_back_for_one_frame_more_comes_no_nearer(turned, r, gap):
-    """It brakes to a standstill and still moves by the speed that it had, while the ego turns out of its lane: the
-    separation is as large as it was."""
+def test_a_last_frame_of_rolling_back_lowers_no_margin(turned, r, gap):
+    """A vehicle brakes to a standstill and still moves by its former speed, while the ego turns out of its lane. The
+    separation stays the same."""
     own, beside, dt, back = ("a", "b", 0), ("a", "b", 1), 1 / 15, -0.19
     scene = Scene("merge-v0")
     scene.put(scene.ego, own, [60.0, r], turned, 10.0)
@@ -125,9 +126,9 @@ def test_who_rolls_back_for_one_frame_more_comes_no_nearer(turned, r, gap):
 @pytest.mark.parametrize(
     ("env_id", "length"), [("intersection-v0", 5.0), ("roundabout-v0", 12.0), *later(("u-turn-v0", 12.0))]
 )
-def test_who_shifts_towards_the_centre_of_an_arc_comes_no_nearer_from_behind(env_id, length):
-    """The ego counts on one behind it in an arc to brake, from the first frame in which it sees the ego: its front
-    moves ahead as it shifts, which is permitted."""
+def test_a_follower_that_shifts_towards_the_centre_of_an_arc_comes_no_nearer(env_id, length):
+    """The ego counts on a follower in an arc to brake, from the first frame in which it sees the ego. The follower's
+    front moves ahead as it shifts, which is permitted."""
     scene = Scene(env_id, (length, 2.0))
     tried, arcs = 0, [(key, lane) for key, lane in scene.network.lanes_dict().items() if type(lane) is CircularLane]
     for key, lane in arcs[:4]:
@@ -151,10 +152,10 @@ def test_who_shifts_towards_the_centre_of_an_arc_comes_no_nearer_from_behind(env
         (("b", "c", 2), (-7.74, 1.54, 0.2), (-17.23, -1.77), -1.22),
     ],
 )
-def test_who_may_pass_the_ego_by_after_a_frame_could_before_or_is_named(lane, ego, other, then):
-    """The ego rests before the end of a lane, beside the middle, and one stands behind it there, beside the middle as
-    well. What comes after the lane is passed over where it has to stop behind the ego. A frame later it is further
-    inside its band, and can pass."""
+def test_a_vehicle_that_newly_fits_past_the_ego_is_a_violator(lane, ego, other, then):
+    """The ego rests off-centre before the end of a lane, and another vehicle stands behind it, off-centre too. Lanes
+    beyond are left out where that vehicle has to stop behind the ego. A frame later it is further inside its band,
+    and can pass."""
     scene = Scene("merge-v0")
     on = scene.network.get_lane(lane)
     s, r, turned = on.length + ego[0], ego[1], ego[2]
@@ -168,7 +169,7 @@ def test_who_may_pass_the_ego_by_after_a_frame_could_before_or_is_named(lane, eg
 
 
 @pytest.mark.parametrize(("r", "shut"), [(0.0, True), (-2.96, False)])
-def test_an_ego_shuts_a_lane_where_it_takes_the_middle_of_it(r, shut):
+def test_the_ego_closes_a_lane_where_it_covers_its_middle(r, shut):
     """One behind it could pass beside it, once back in the middle."""
     scene, lane = Scene("merge-v0"), ("k", "b", 0)
     length = scene.network.get_lane(lane).length
@@ -179,7 +180,7 @@ def test_an_ego_shuts_a_lane_where_it_takes_the_middle_of_it(r, shut):
     assert others.shut[others.marks[:, 1] != scene.door._index[lane]].any() == shut
 
 
-def test_what_native_traffic_does_on_an_arc_is_foreseen():
+def test_the_traffic_of_highway_env_on_an_arc_causes_no_prediction_mismatch():
     """A car in the right turn before the ego's lane is counted on to brake, and drifts by a centimetre."""
     seed, rng = 1820003, np.random.default_rng(1820003)
     env = ShieldedEnv(gym.make("intersection-v0"), config="worst-case")
@@ -193,9 +194,9 @@ def test_what_native_traffic_does_on_an_arc_is_foreseen():
 
 
 @pytest.mark.parametrize("env_id", ["roundabout-v0", "u-turn-v0", "intersection-v0"])
-def test_where_a_lane_can_be_come_to_does_not_change_on_the_way(env_id):
-    """Several lanes end at different places of a ring: who comes along one of them is on the ring no further back than
-    was foreseen, where it has not passed that place."""
+def test_the_place_where_a_vehicle_can_enter_a_lane_does_not_move_back(env_id):
+    """Several lanes end at different places of a ring. A vehicle along one of them arrives on the ring no further
+    back than was predicted."""
     scene = Scene(env_id)
     checked = 0
     for key, lane in scene.network.lanes_dict().items():

@@ -1,4 +1,4 @@
-"""The shield acts: who drives into the leader without it does not with it."""
+"""The shield intervenes: a policy that drives into its leader without the shield does not with it."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -38,7 +38,7 @@ def drive(door, seed, env_id="highway-fast-v0", **config):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_unshielded_it_crashes(seed):
+def test_the_unshielded_ego_crashes(seed):
     assert drive("none", seed)[0]
 
 
@@ -58,7 +58,7 @@ def test_the_shielded_policy_overrides_and_does_not_crash(seed):
     assert speed > 20
 
 
-def test_at_fifteen_hertz_with_collisions_among_the_others():
+def test_the_shielded_ego_at_15_hz_does_not_crash_among_colliding_traffic():
     crashed, overridden, _ = drive("env", 0, "highway-v0", vehicles_count=20, duration=20)
     assert not crashed
     assert overridden

@@ -1,4 +1,4 @@
-"""Vehicles that slip in alongside: highway-env's own traffic decides when, and never hits an ego that was verified."""
+"""Cut-ins of vehicles alongside: highway-env's own traffic decides when, and never hits an ego whose plan verified."""
 
 from __future__ import annotations
 
@@ -87,15 +87,15 @@ SITUATIONS = st.builds(
 
 @settings(deadline=None, max_examples=400)
 @given(SITUATIONS)
-def test_no_vehicle_of_the_simulator_slips_into_a_verified_ego(scene: Scene) -> None:
+def test_no_vehicle_of_the_simulator_cuts_into_a_verified_ego(scene: Scene) -> None:
     (_, _, _, v, *_), (_, _, _, leader, *_) = scene.others
     assume(np.diff(scene.others[:, 0])[0] - 5 > max(v - leader, 0) ** 2 / 6)  # It can still brake behind its leader.
     if judged(scene) >= 0:
         assert worst_overlap(scene) <= 0
 
 
-def test_the_property_is_not_empty() -> None:
-    """Passing at 34 m/s, 0.7 m off the centre: what happened on highway-v0, seed 300147."""
+def test_cut_ins_into_an_unverified_ego_exist() -> None:
+    """Passing at 34 m/s, 0.7 m off the centre, as on highway-v0, seed 300147."""
     scene = scene_of(offset=0.7, u=34.0, behind=1.0, v=18.5, gap=12.0, leader=10.0)
     assert worst_overlap(scene) > 0
     assert judged(scene) < 0
@@ -110,10 +110,11 @@ def test_the_property_is_not_empty() -> None:
         (0.2, 36.86, -11.44, 16.38, 25.62, 14.07),
     ],
 )
-def test_one_that_brakes_behind_its_leader_slips_in_beside_an_ego_that_keeps_its_lane(
+def test_a_vehicle_that_brakes_behind_its_leader_cuts_in_beside_the_ego(
     offset: float, u: float, behind: float, v: float, gap: float, leader: float
 ) -> None:
-    """It is faster than its leader when the ego falls back to it, and no longer when the ego is alongside."""
+    """The ego keeps its lane. The vehicle is faster than its leader when the ego falls back to it, and no longer
+    when the ego is alongside."""
     scene = scene_of(offset, u, behind, v, gap, leader)
     assert worst_overlap(scene, beyond=-1.0) > 0
     assert judged(scene) < 0
@@ -124,12 +125,12 @@ def test_one_that_brakes_behind_its_leader_slips_in_beside_an_ego_that_keeps_its
     [
         {"offset": 0.0, "u": 27.0, "leader": 18.0, "gap": 30.0},  # keeps its lane, beside one that is hardly blocked
         {"u": 22.0, "leader": 18.0, "gap": 25.0},  # does not pull away
-        {"gap": None},  # nobody ahead of it
+        {"gap": None},  # no vehicle ahead of it
         {"behind": 8.0},  # already past
         {"behind": -70.0},  # far away
     ],
 )
-def test_an_ego_that_keeps_its_lane_or_pulls_away_from_nobody_is_left_alone(change: dict[str, Any]) -> None:
+def test_an_ego_without_a_possible_cut_in_is_not_refused(change: dict[str, Any]) -> None:
     values = {"offset": 0.7, "u": 34.0, "behind": 1.0, "v": 18.5, "gap": 12.0, "leader": 10.0} | change
     scene = scene_of(**values | {"gap": values["gap"] or 12.0})
     if values["gap"] is None:
@@ -137,7 +138,7 @@ def test_an_ego_that_keeps_its_lane_or_pulls_away_from_nobody_is_left_alone(chan
     assert judged(scene) >= 0
 
 
-def test_the_assumption_can_be_switched_off() -> None:
+def test_the_assumption_of_cut_ins_can_be_switched_off() -> None:
     scene = scene_of(offset=0.7, u=34.0, behind=1.0, v=18.5, gap=12.0, leader=10.0)
     off = ShieldConfig(assumptions=replace(CONFIG.assumptions, slip_in=False))
     assert judged(scene, off) == np.inf

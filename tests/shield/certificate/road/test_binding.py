@@ -1,4 +1,4 @@
-"""The record names what binds: the clause that the margin comes from, and the vehicle."""
+"""The record names the binding clause, from which the margin comes, and the binding vehicle."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ def scene_of(*others: tuple[float, float, float], speed: float = 25.0, r: float 
     return Scene(ego, rows, StraightRoad.from_lanes(3), EgoControl(Target(1, 25.0)), 1 / 15, 15)
 
 
-def test_the_vehicle_that_binds_is_named() -> None:
+def test_the_binding_vehicle_is_named() -> None:
     decision = ShieldCore(ShieldConfig()).decide(scene_of((90.0, 4.0, 25.0), (40.0, 4.0, 20.0)), 1)
     assert decision.tier is Tier.PASSED
     assert (decision.clause, decision.vehicle) == ("separation", 1)
 
 
-def test_nobody_in_reach_binds_nothing() -> None:
+def test_no_vehicle_in_reach_means_no_binding_clause() -> None:
     decision = ShieldCore(ShieldConfig()).decide(scene_of(), 1)
     assert (decision.clause, decision.vehicle) == ("", -1)
 
 
-def test_a_frame_names_it_too() -> None:
+def test_the_record_of_a_frame_names_the_binding_vehicle() -> None:
     core = ShieldCore(ShieldConfig())
     _, frame = core.supervise(scene_of((11.5, 4.0, 16.0), (60.0, 0.0, 25.0)))
     assert frame.tier is not Tier.PASSED
@@ -43,13 +43,15 @@ def test_a_frame_names_it_too() -> None:
         (scene_of(speed=15.0), (0.0, 0.0), "", -1),
     ],
 )
-def test_inputs_name_it_too(scene: Scene, proposal: tuple[float, float], clause: str, vehicle: int) -> None:
+def test_the_record_of_inputs_names_the_binding_vehicle(
+    scene: Scene, proposal: tuple[float, float], clause: str, vehicle: int
+) -> None:
     _, decision = ContinuousCore(ShieldConfig(), Actuators()).filter(scene, np.array(proposal))
     assert decision.tier is Tier.PASSED
     assert (decision.clause, decision.vehicle) == (clause, vehicle)
 
 
-def test_what_leaves_the_road_is_the_edge_and_what_rolls_back_is_named() -> None:
+def test_the_binding_clause_is_edge_off_the_road_and_rollback_in_reverse() -> None:
     core = ContinuousCore(ShieldConfig(), Actuators())
     scene = scene_of(speed=20.0, r=8.4)
     core.filter(scene, np.zeros(2))

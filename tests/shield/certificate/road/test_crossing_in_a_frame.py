@@ -1,5 +1,5 @@
-"""A vehicle that is in the ego's buffer for a single frame: the fail-safe is judged from the next frame on, by when the
-vehicle has passed, and it is named all the same."""
+"""A vehicle inside the ego's buffer for a single frame. The fail-safe is judged from the next frame on, when the
+vehicle has passed; the monitor names it all the same."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -66,7 +66,7 @@ CASES = [
 
 @pytest.mark.parametrize(("hz", "relative", "depth", "ego_speed", "across"), CASES)
 @pytest.mark.parametrize("door", ["env", "policy"])
-def test_a_dart_into_the_buffer_is_named_in_its_frame(hz, relative, depth, ego_speed, across, door):
+def test_a_vehicle_that_crosses_the_buffer_in_one_frame_is_a_violator(hz, relative, depth, ego_speed, across, door):
     env = highway(hz)
     shield = ShieldedEnv(env, "worst-case") if door == "env" else Shield(lambda obs: IDLE, env, "worst-case")
     world = shield if door == "env" else env
@@ -81,13 +81,13 @@ def test_a_dart_into_the_buffer_is_named_in_its_frame(hz, relative, depth, ego_s
         told.append(info["shield"]["violations"] if door == "env" else shield.statistics.violations)
         if info["crashed"]:
             break
-    # What happens in the last frame of a step is told with the next, or with this one where it is the last.
+    # A violation in the last frame of a step is reported with the next step, or with this one if it is the last.
     assert told[0] == 0
     assert sum(told) >= 1
 
 
 @pytest.mark.parametrize(("hz", "relative", "depth", "ego_speed", "across"), CASES)
-def test_one_that_stays_in_its_lane_is_not_named(hz, relative, depth, ego_speed, across):
+def test_a_vehicle_that_stays_in_its_lane_is_no_violator(hz, relative, depth, ego_speed, across):
     env = ShieldedEnv(highway(hz), "worst-case")
     env.reset(seed=0)
     road_with(env, hz, relative, depth, ego_speed, 3.2)

@@ -1,5 +1,5 @@
-"""Two places where a rule was off by an edge: a vehicle at exactly the slowest speed that turning is counted at, and a
-lane that comes to be the ego's while it leaves it."""
+"""Two limits of rules: a vehicle at exactly the slowest speed at which turning counts, and a lane that comes to be
+owned while the ego leaves it."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -42,7 +42,7 @@ def highway(config, at, heading, speed):
     return env, env.unwrapped.road
 
 
-def test_a_lane_that_the_ego_comes_to_own_takes_no_plan_away():
+def test_a_newly_owned_lane_takes_no_plan_away():
     """An attacker's scene: the plan stops in a lane that a wide follower's strip comes near, and that the ego does not
     own before it touches it."""
     env, road = highway(SWING, [300.0, 2.2896448920349495], 0.8249786296351735, 23.615081912096798)
@@ -58,7 +58,7 @@ def test_a_lane_that_the_ego_comes_to_own_takes_no_plan_away():
 
 
 def lost_at(speed):
-    """What a vehicle has left to lose by turning, (2,), after a frame in which it has not moved, at 5 Hz."""
+    """The lateral room that a vehicle may still use up by turning, (2,), after a frame at rest, at 5 Hz."""
     env, road = highway(HELD, [300.0, 0.0], 0.0, 20.0)
     other = Puppet(road, [200.0, 4.0], 0.0, speed)
     road.vehicles.append(other)
@@ -70,6 +70,6 @@ def lost_at(speed):
     return np.array([bodies.budget[0], bodies.action[0]])
 
 
-def test_at_the_slowest_speed_that_turning_is_counted_at_it_is_counted():
+def test_turning_counts_from_the_slow_speed_on_inclusively():
     slow = Assumptions.idm().slow_speed
     np.testing.assert_allclose(lost_at(slow), lost_at(slow + 1e-9), atol=1e-6)

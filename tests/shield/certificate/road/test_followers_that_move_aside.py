@@ -1,5 +1,5 @@
-"""A follower that owes the ego its distance and moves aside, so that a stored plan has to stay clear of it: it leaves
-the plan its room, or the monitor names it. Both scenes are an attacker's; nobody was named in them."""
+"""A follower with an obligation moves aside, so that the stored plan has to stay clear of it. It leaves the plan its
+room, or the monitor names it. Both scenes come from an attack in which no vehicle was named."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -49,14 +49,16 @@ def driven(config, ego_at, follower, actions):
 
 
 def check(env, frames):
-    """The first frame verifies, some later one does not or is another's fault, and then somebody is named."""
+    """The first frame verifies. Some later frame does not, or another vehicle is at fault, and then a vehicle is
+    named."""
     assert frames[0].tier.verified
     lost = [decision for decision in frames if decision.guarantee.value == "none"]
     assert not lost or env.door.violations > 0
 
 
-def test_one_that_leaves_the_lane_that_it_owes_in_is_named_where_the_plan_suffers():
-    """Its strip shrank past the place where the ego stops, so that the plan's sway came back into it."""
+def test_a_follower_that_leaves_its_lane_and_spoils_the_plan_is_a_violator():
+    """Its reachable interval shrank past the place where the ego stops, so that the lateral wander of the plan came
+    back into it."""
     config = {"lanes_count": 4, "simulation_frequency": 6, "policy_frequency": 6}
     speed, y = 5.1476387014039435, 6.84
     places = [(192.31401115720362, y, 0.0), *((193.17195094077096 + k * speed / 6, 6.8501, 0.0) for k in range(3))]
@@ -67,8 +69,9 @@ def test_one_that_leaves_the_lane_that_it_owes_in_is_named_where_the_plan_suffer
     assert env.door.violations == 1
 
 
-def test_one_that_turns_into_the_lane_beside_the_one_that_the_plan_enters_is_named_where_the_plan_suffers():
-    """It had owed its distance across several lanes; the plan gets out of its sight, so that it may join the lane."""
+def test_a_vehicle_that_turns_beside_the_entered_lane_and_spoils_the_plan_is_a_violator():
+    """Its obligation covered several lanes. The ego gets out of its sight by the plan, so that it may enter the
+    lane."""
     config = {"lanes_count": 3, "simulation_frequency": 15, "policy_frequency": 5}
     speed, x = 12.821662467816502, 188.08803884950777
     places = [(x + k * speed / 15, 8.9, -np.pi / 2 if k < 17 else 0.0) for k in range(30)]

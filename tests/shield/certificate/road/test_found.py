@@ -1,4 +1,4 @@
-"""Episodes that went wrong once: found among hundreds of thousands, explained, and driven again here."""
+"""Failures found among hundreds of thousands of episodes, explained and driven again."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from shield.batch.highways import ShieldedHighways
 
 
 def episode(seed, actions):
-    """What becomes of an episode of highway-fast: whether it crashed, and how many offences there were."""
+    """Outcome of an episode of highway-fast: whether the ego crashed, and the number of violations."""
     highways, step = ShieldedHighways("highway-fast-v0", 1), 0
     highways.reset([seed])
     while True:
@@ -30,17 +30,17 @@ def episode(seed, actions):
         3010435,
     ],
 )
-def test_nobody_is_overlooked_any_more(seed):
+def test_once_missed_vehicles_cause_no_crash_and_no_violation(seed):
     crashed, offences = episode(seed, np.random.default_rng(seed).integers(5, size=30))
     assert not crashed
     assert offences == 0
 
 
 @pytest.mark.parametrize("seed", [7255195, 7518249, 7742728])
-def test_from_an_offender_it_gets_away(seed):
-    """The leader goes for the same lane in the frame after the ego, which it has begun to gain by. It had broken a rule
-    by then, and in the worst case nothing helped: the ego did not even brake. Three of 860,000 episodes of always
-    FASTER; what is expected of the offender tells that braking does."""
+def test_the_ego_evades_a_violator(seed):
+    """The leader enters the same lane one frame after the ego, because it has begun to gain by that, and breaks a
+    rule. In the worst case no plan verified, and the ego did not even brake: three of 860,000 episodes of always
+    FASTER. The prediction of the violator shows that braking helps."""
     crashed, offences = episode(seed, np.full(30, 3))
     assert not crashed
     assert offences > 0

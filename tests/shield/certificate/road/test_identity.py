@@ -1,4 +1,4 @@
-"""The monitor knows the others again where their number changes, and names who appears in the ego's way."""
+"""The monitor recognises vehicles where their number changes, and names a vehicle that appears in the ego's way."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ DOORS = pytest.mark.parametrize("door", ["env", "policy"])
 
 @RATES
 @DOORS
-def test_a_far_car_that_comes_and_goes_hides_no_offence(hz, door):
+def test_a_distant_car_that_appears_and_vanishes_hides_no_violation(hz, door):
     """The leader brakes at 60 m/s^2 while a car 400 m away is put in and out of the road's list."""
 
     def cast(road):
@@ -38,8 +38,8 @@ def test_a_far_car_that_comes_and_goes_hides_no_offence(hz, door):
 @RATES
 @DOORS
 @pytest.mark.parametrize("kind", [Driven, Obstacle])
-def test_one_that_appears_in_the_way_is_named(hz, door, kind):
-    """15 m ahead of an ego at 25 m/s nobody may appear from nowhere; 200 m ahead, or in another lane, anybody may."""
+def test_a_body_that_appears_in_the_way_on_a_highway_is_a_violator(hz, door, kind):
+    """15 m ahead of an ego at 25 m/s no body may appear; 200 m ahead, or in another lane, it may."""
     for ahead, lane, named in ((15.0, 1, True), (200.0, 1, False), (15.0, 2, False)):
 
         def cast(road, ahead=ahead, lane=lane):

@@ -38,8 +38,8 @@ def tally_of(action, hz, policy, traffic, seed, frames):
 
 
 @pytest.mark.parametrize(("action", "hz", "policy", "traffic"), SHORT)
-def test_a_verified_plan_is_good_a_frame_later(action, hz, policy, traffic):
-    """Sides taken, lanes owned, followers counted on and the coming frame: what the plan was judged with lasts."""
+def test_a_verified_plan_verifies_a_frame_later(action, hz, policy, traffic):
+    """Sides, owned lanes, followers counted on and the coming frame: the assumptions of the plan still hold."""
     found = tally_of(action, hz, policy, traffic, 0, 110)
     assert found.judged > 60
     assert not found.lost, "\n".join(map(str, found.lost))
@@ -58,7 +58,7 @@ def test_no_follower_takes_a_plan_away_by_taking_less_room(seed, hz):
 @pytest.mark.parametrize("traffic", ["native", "riders", "skidders"])
 @pytest.mark.parametrize("hz", FREQUENCIES)
 @pytest.mark.parametrize("action", ["meta", "inputs"])
-def test_verified_plans_are_good_a_frame_later_at_length(action, hz, traffic):
+def test_verified_plans_verify_a_frame_later_at_length(action, hz, traffic):
     """10^5 frames over all cells; no exception."""
     frames, seed, lost, want = 0, 0, [], 2800
     while frames < want:
@@ -76,14 +76,14 @@ def test_verified_plans_are_good_a_frame_later_at_length(action, hz, traffic):
     (1.5, [1.2, 0.9, 0.5, 0.0], 1),  # in sight now
     (0.0, [1.2, 2.5, 3.5, 4.0], 4),  # stays
 ])  # fmt: skip
-def test_sight_that_a_plan_will_leave_counts_as_sight_that_the_ego_leaves(r, way, frame):
+def test_a_lane_whose_view_the_plan_will_leave_counts_as_left(r, way, frame):
     path = np.zeros((4, 4))
     path[:, 1] = way
     assert leaves_sight(r, path, 4.0, 3.0) == frame
 
 
-def test_a_precaution_that_refuses_every_plan_is_told_from_a_lost_guarantee():
-    """A vehicle that may slip in refuses plans; the stored plan, which verifies without that clause, is played on."""
+def test_a_precaution_that_refuses_every_plan_differs_from_a_lost_guarantee():
+    """A vehicle that may cut in refuses plans; the stored plan, which verifies without that clause, is continued."""
     env = ShieldedEnv(make("inputs", 5))
     for seed in range(6):
         env.reset(seed=seed)

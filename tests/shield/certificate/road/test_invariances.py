@@ -1,4 +1,4 @@
-"""What must change nothing, what must never help, and a filter that acts."""
+"""Changes of a scene that change no decision, changes that never help, and a filter that intervenes."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def test_a_vehicle_out_of_reach_changes_no_verdict(core: type, seed: int, action
 
 
 class Traffic(RuleBasedStateMachine):
-    """Hypothesis plays the traffic: every frame it wishes what it likes, cut down to the assumptions."""
+    """Hypothesis plays the traffic: each frame it draws any inputs, clipped to the assumptions."""
 
     world: World
 

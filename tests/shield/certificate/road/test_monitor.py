@@ -22,7 +22,7 @@ def braked(scene):
 
 @pytest.mark.parametrize("core", [ShieldCore, ContinuousCore])
 def test_a_violation_is_counted_and_the_stored_plan_outlives_it(core):
-    """Somebody jumps in before the ego; the plan for the leader still holds, and is not given up."""
+    """A vehicle jumps in ahead of the ego; the plan for the leader still holds, and is kept."""
     shield = core()
     start = scene_of((0, 0, 0, 20), (30, 4, 0, 20), (90, 0, 0, 20), lanes=1 + 1)
     assert after(shield, start).tier.verified
@@ -47,7 +47,7 @@ def test_violations_are_cleared_once_a_plan_clears_all_vehicles(core):
 
 @pytest.mark.parametrize("core", [ShieldCore, ContinuousCore])
 def test_a_scene_observed_twice_counts_as_one_frame(core):
-    """Neither the visibility clock nor the count goes on: who has not moved meanwhile has not stood still."""
+    """Neither the visibility clock nor the count of violations advances: an unmoved vehicle has not stood still."""
     shield = core()
     for k in range(3):
         scene = scene_of((20 * DT * k, 0, 0, 20), (60 + 20 * DT * k, 0, 0, 20))
@@ -58,7 +58,7 @@ def test_a_scene_observed_twice_counts_as_one_frame(core):
 
 @pytest.mark.parametrize("core", [ShieldCore, ContinuousCore])
 def test_a_stored_plan_is_recorded_with_its_own_margin(core):
-    """Somebody is observed all at once, of whom no rule is known to be broken, and leaves no plan; what is least bad is
+    """A vehicle appears at once, without a known violation, and leaves no plan; the largest margin is that of
     another input."""
     shield = core()
     assert after(shield, scene_of((0, 0, 0, 10), lanes=3)).tier.verified
@@ -71,7 +71,7 @@ def test_a_stored_plan_is_recorded_with_its_own_margin(core):
 
 @pytest.mark.parametrize(("x", "count"), [(12.0, 1), (90.0, 0)])
 def test_a_vehicle_that_takes_more_room_is_a_violator_if_the_fail_safe_needs_it(x, count):
-    """One that leaves its lane for the ego's, at no more than its own speed."""
+    """A vehicle leaves its lane for the ego's, at no more than its own speed."""
     shield = ShieldCore()
     after(shield, scene_of((0, 0, 0, 20), (x, 2.9, 0, 10), lanes=2))
     after(shield, scene_of((20 * DT, 0, 0, 20), (x + 10 * DT, 2.4, 0, 10), lanes=2))

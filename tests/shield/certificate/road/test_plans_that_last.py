@@ -1,5 +1,5 @@
-"""What must not take a verified plan away: the frame that executes it, a follower that takes less room, more frames at
-rest."""
+"""Changes that take no verified plan away: the frame that executes it, a follower that takes less room, more frames
+at rest."""
 
 import numpy as np
 from clause_scenes import CONFIG, DT, along, scene_of
@@ -20,7 +20,7 @@ OWNED = {"visible": np.full(LANES, 10**6), "owned": np.array([True, True, False]
 
 @settings(deadline=None, max_examples=300)
 @given(seed=st.integers(0, 10**9))
-def test_what_a_decision_verifies_verifies_in_its_first_frame(seed):
+def test_a_verified_decision_verifies_in_its_first_frame(seed):
     rng = np.random.default_rng(seed)
     v, lane = rng.uniform(8, 32), int(rng.integers(LANES))
     cars = [

@@ -1,4 +1,4 @@
-"""Safety alone is easy: behind the shield one who asks to go gets to the end of the road."""
+"""Progress: behind the shield a policy that proposes to drive reaches the end of the road."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ ENDS = {
     "u-turn-v1": ("c", 100.0),
     "intersection-v2": ("il1", 25.0),
 }
-"""Where the ego has arrived: so far [m] along one of the lanes from a node, and the end is further away than what it
-drives in a decision. Behind the end highway-env's vehicles turn back, and nothing is verified."""
+"""Where the ego has arrived: this distance [m] along one of the lanes from a node, with more lane ahead than a
+decision covers. Behind the end highway-env's vehicles turn back, and nothing is verified."""
 STANDS, NEAR = 0.5, 20.0
-"""Slower than this is standing [m/s]; who is nearer than this may be in the way [m]."""
+"""A vehicle below this speed stands [m/s]; a vehicle within this distance may be in the way [m]."""
 
 
 class Driven:
-    """Episodes of always FASTER behind the exact shield, for so many decisions each.
+    """Episodes of always FASTER behind the filter of simulated traffic, for a number of decisions each.
 
     Attributes
     ----------
-    arrived : after how many decisions, by seed. crashed : the seeds of egos that have crashed.
-    waits : the seeds of egos that stand in the end, near others who all stand.
+    arrived : number of decisions until arrival, by seed. crashed : the seeds of crashed egos.
+    waits : the seeds of egos that stand at the end, near vehicles that all stand.
     """
 
     def __init__(self, env_id, seeds, decisions):
@@ -74,18 +74,18 @@ class Driven:
         ("roundabout-v1", range(12), 20),
         ("exit-v1", range(6), 30),
         ("two-way-v0", range(12), 28),
-        # In the scene of seed 0 it is boxed in: nobody is slower than its 8 m/s.
+        # In the scene of seed 0 the ego is boxed in: no vehicle is slower than its 8 m/s.
         ("u-turn-v1", range(1, 12), 24),
         # In the scenes of the others wrecks lie in its way.
         ("intersection-v2", [0, 1, 2, 5, 6, 8, 9, 10, 12, 13], 20),
     ],
 )
-def test_who_asks_to_go_arrives(env_id, seeds, decisions):
+def test_an_ego_that_proposes_to_drive_arrives(env_id, seeds, decisions):
     assert sorted(Driven(env_id, seeds, decisions).arrived) == list(seeds)
 
 
 @pytest.mark.parametrize(("env_id", "arrive"), [("roundabout-v1", 0.9), ("intersection-v2", 0.75)])
-def test_who_does_not_arrive_waits_for_those_who_never_go(env_id, arrive):
+def test_an_ego_that_does_not_arrive_waits_for_vehicles_that_stand(env_id, arrive):
     """highway-env's drivers crash with each other, and wait for each other in a ring."""
     seeds = range(40)
     driven = Driven(env_id, seeds, 60)
@@ -95,10 +95,10 @@ def test_who_does_not_arrive_waits_for_those_who_never_go(env_id, arrive):
 
 
 def goes(env, node, most, release=-1):
-    """Always FASTER, without a crash: after how many decisions the ego has come to a node and as far behind it, (name,
+    """Drive always FASTER, without a crash: the number of decisions until the ego is so far behind a node, (name,
     metres); how many of them were overridden; its speeds [m/s].
 
-    From decision `release` on the others, who stand, want to drive.
+    From decision `release` on the standing vehicles want to drive.
     """
     base, overridden, speeds = env.unwrapped, 0, []
     faster = base.action_type.actions_indexes["FASTER"]
@@ -132,7 +132,7 @@ def goes(env, node, most, release=-1):
         *later(("u-turn-v1", 2, 30), ("merge-v1", 1, 20), ("roundabout-v1", 3, 20), ("two-way-v0", 1, 42)),
     ],
 )
-def test_so_it_does_where_the_traffic_may_do_anything(env_id, seed, decisions):
+def test_the_ego_arrives_in_the_worst_case_too(env_id, seed, decisions):
     env = shielded(env_id, "worst case")
     env.reset(seed=seed)
     goes(env, ENDS[env_id], decisions)
@@ -150,9 +150,9 @@ LINE, ENTRY = Body(("o0", "ir0", 0), 75.0, 9.0, "o2"), Body(("ser", "ses", 0), 1
         ("roundabout-v1", ENTRY._replace(s=80.0), [(("ses", "se", 0), 5.0), (ENTRY.lane, 122.0)], "ee"),
     ],
 )
-def test_a_queue_is_left_again(door, driver, env_id, ego, queue, node):
-    """The ego stands behind those who stand, and goes when they do. An `IDMVehicle` that shall stand rolls back, which
-    breaks a rule: where that matters they are others, who do not."""
+def test_the_ego_leaves_a_queue_once_it_moves(door, driver, env_id, ego, queue, node):
+    """The ego stands behind a queue and drives when the queue does. A standing `IDMVehicle` rolls back, which breaks
+    a rule; where that matters the queue is of another class, which does not."""
     env = placed(env_id, door, ego, [Body(lane, s, 0.0, ego.to) for lane, s in queue], driver)
     arrived, _, speeds = goes(env, (node, 0.0), 30, release=8)
     assert abs(speeds[7]) < STANDS
@@ -168,7 +168,7 @@ def crosses(door, lane, s):
 
 FROM_WEST, FROM_EAST = ("o1", "ir1"), ("o3", "ir3")
 FAR = {"exact": 64.0, "worst case": 55.0}
-"""The ego goes before whoever is not further along its lane [m]."""
+"""The ego goes before a vehicle that is not further along its lane than this [m]."""
 
 
 @pytest.mark.parametrize("door", DOORS)
@@ -181,14 +181,14 @@ def test_a_gap_that_is_large_enough_is_taken(door, lane, share):
 @pytest.mark.parametrize("door", DOORS)
 @FEW
 @given(st.floats(0.0, 1.0))
-def test_one_that_is_not_is_let_pass(door, share):
+def test_the_ego_waits_at_a_gap_that_is_too_small(door, share):
     assert crosses(door, FROM_WEST, 76.0 + 6.0 * share) > 0
     assert crosses(door, FROM_EAST, 69.0 + 4.0 * share) > 0
 
 
 @pytest.mark.parametrize("door", DOORS)
-def test_so_it_is_at_the_roundabout(door):
-    """One who comes along the ring from the far side is no reason to wait; one who is about to pass the entry is."""
+def test_the_ego_waits_at_a_roundabout_only_for_a_near_vehicle(door):
+    """A vehicle on the far side of the ring is no reason to wait; a vehicle about to pass the entry is."""
     far, near = Body(("nx", "ne", 1), 0.0, 10.0, "nxr"), Body(("we", "sx", 1), 12.0, 10.0, "nxr")
     first, kept_back, _ = goes(placed("roundabout-v1", door, ENTRY, [far]), ("ee", 0.0), 14)
     then, held_back, _ = goes(placed("roundabout-v1", door, ENTRY, [near]), ("ee", 0.0), 14)
@@ -197,6 +197,6 @@ def test_so_it_is_at_the_roundabout(door):
     assert then > first
 
 
-def test_what_may_do_anything_is_given_more_room():
-    """The gaps between 36 m and 48 m from where the paths cross are those of one who knows what the other does."""
+def test_the_worst_case_needs_a_larger_gap_than_simulated_traffic():
+    """The gaps from 36 m to 48 m before the crossing point are taken only with known driver models."""
     assert [crosses(door, FROM_EAST, 62.0) > 0 for door in DOORS] == [False, True]

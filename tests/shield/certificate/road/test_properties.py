@@ -1,4 +1,4 @@
-"""No override violates the buffer, whatever the others do within the assumptions."""
+"""No override violates the buffer, under any behaviour within the assumptions."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_a_verified_action_keeps_the_buffer_under_every_extreme_behaviour(seed: 
 
 
 class Adversary:
-    """Searches for the worst behaviour: per frame it takes the wish that leaves the least predicted room."""
+    """Searches for the worst behaviour: in each frame it takes the inputs that leave the least predicted room."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.rng = rng

@@ -1,4 +1,5 @@
-"""The theorem attacked: whatever the others do, it is flagged or it never brings the ego nearer than the buffer.
+"""Attacks on the theorem: other vehicles never come nearer than the buffer without a violation that the monitor
+reports.
 
 The attacks drive real highway-env environments (`attacks`, `driven_traffic`) and share no model with the shield. A
 failure names a `Run`; `attacks.play(run)` repeats it. `python tests/support/attack_report.py` makes a table.
@@ -90,13 +91,13 @@ ONCE_FOUND = {
 
 
 def clean_breaches(runs: list[Run]) -> list[str]:
-    """A line for each run that came nearer than the buffer with nobody flagged."""
+    """A line for each run that came nearer than the buffer without a reported violation."""
     found = [(run, play(run)) for run in runs]
     return [run.describe(out) for run, out in found if out.clean_breach]
 
 
 @pytest.mark.parametrize(("name", "action", "hz"), [*QUICK, *(c for c in ONCE_FOUND if c not in QUICK)])
-def test_no_attack_breaches_unflagged(name, action, hz):
+def test_no_attack_enters_the_buffer_without_a_reported_violation(name, action, hz):
     seeds = sorted({*range(RUNS), *ONCE_FOUND.get((name, action, hz), ())})
     found = clean_breaches([Run.sample(name, action, hz, seed) for seed in seeds])
     assert not found, "\n".join(found)
@@ -126,14 +127,14 @@ CHECKS = (HealthCheck.filter_too_much, HealthCheck.too_slow, HealthCheck.data_to
 
 @settings(max_examples=100, phases=PHASES, suppress_health_check=CHECKS)
 @given(run=runs())
-def test_no_numbers_breach_unflagged(run):
+def test_no_drawn_inputs_enter_the_buffer_without_a_reported_violation(run):
     no_numbers_breach_unflagged(run)
 
 
 @pytest.mark.slow
 @settings(max_examples=1500, phases=PHASES, suppress_health_check=CHECKS)
 @given(run=runs())
-def test_no_numbers_breach_unflagged_at_length(run):
+def test_no_drawn_inputs_enter_the_buffer_without_a_reported_violation_at_length(run):
     no_numbers_breach_unflagged(run)
 
 
@@ -146,7 +147,7 @@ def test_ten_thousand_attacks(name, action, hz):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "action"), SEARCHED)
-def test_no_search_finds_a_breach(name, action):
+def test_no_search_finds_an_unreported_intrusion_into_the_buffer(name, action):
     for hz in (5, 15):
         worst = worst_case(name, action, hz, evaluations=300, seed=1)
         assert not worst.outcome.clean_breach, worst.describe()
@@ -154,7 +155,7 @@ def test_no_search_finds_a_breach(name, action):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ATTACKS)
-def test_attacks_get_to_act(name):
+def test_attacks_change_the_traffic(name):
     """Enough starts are verified: otherwise the tests above would hold of nothing."""
     outs = [play(Run.sample(name, action, 5, seed)) for action in ATTACKS[name].actions for seed in range(20)]
     assert sum(o.started for o in outs) >= 0.25 * len(outs)

@@ -1,4 +1,5 @@
-"""No tolerance of the monitor adds up: whoever comes nearer bit by bit is named before it touches the buffer."""
+"""No tolerance of the monitor adds up: a vehicle that approaches in small steps is named before it touches the
+buffer."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ def rolling_back(step):
 
 @pytest.mark.parametrize(("hz", "step"), [(5, 0.018), (15, 0.018), (15, 0.007), (60, 0.01)])
 @pytest.mark.parametrize("door", ["env", "policy"])
-def test_a_leader_that_rolls_back_slowly_is_named(hz, step, door):
+def test_a_leader_that_rolls_back_slowly_is_a_violator(hz, step, door):
     """At 0.09 to 0.6 m/s: each frame is less than 2 cm."""
     out = drive(
         lambda road: [Driven(road, 12.0, 1, -step * hz, rolling_back(step))],
@@ -43,8 +44,8 @@ def test_a_leader_that_rolls_back_slowly_is_named(hz, step, door):
 
 
 @pytest.mark.parametrize(("hz", "period"), [(5, 1), (15, 1), (15, 5)])
-def test_one_that_rolls_back_is_named_by_a_filter_of_actions(hz, period):
-    """Over one frame a decision, and over more."""
+def test_a_leader_that_rolls_back_is_a_violator_for_a_filter_of_actions(hz, period):
+    """With one frame a decision, and with several."""
     step = 0.018 / period
     out = drive(
         lambda road: [Driven(road, 14.0, 1, -step * hz, rolling_back(step))],
@@ -71,8 +72,8 @@ def test_one_that_rolls_back_is_named_by_a_filter_of_actions(hz, period):
     ],
 )
 @pytest.mark.parametrize("frames", [1, 3])
-def test_growth_of_any_size_is_asked_about(change, rule, frames):
-    """One that stands at the edge of what it may touch: however little it takes more in a frame, it is noticed."""
+def test_growth_of_any_size_is_noticed(change, rule, frames):
+    """A vehicle stands at the edge of the region that it may touch, and takes a little more in a frame."""
     row = np.array([[30.0, 4.25, 0.0, 0.0, 5.0, 2.0, 0.0]])
 
     def around(rows, before=None):

@@ -67,7 +67,7 @@ def drive(hz, gap, rate, inputs):
 
 @pytest.mark.parametrize("inputs", [False, True], ids=["meta-actions", "inputs"])
 @pytest.mark.parametrize(("hz", "gap", "rate"), [(5, 10.2, math.pi), (10, 7.6, math.pi), (10, 7.6, 0.2)])
-def test_one_that_turns_round_before_the_ego_is_named(hz, gap, rate, inputs):
+def test_a_vehicle_that_turns_round_before_the_ego_is_a_violator(hz, gap, rate, inputs):
     tier, crashed, violations = drive(hz, gap, rate, inputs)
     assert tier in ("passed", "governed")
     assert crashed
@@ -75,7 +75,7 @@ def test_one_that_turns_round_before_the_ego_is_named(hz, gap, rate, inputs):
 
 
 @pytest.mark.parametrize("inputs", [False, True], ids=["meta-actions", "inputs"])
-def test_one_that_keeps_its_heading_is_not_named(inputs):
+def test_a_vehicle_that_keeps_its_heading_is_no_violator(inputs):
     assert drive(10, 9.0, 0.0, inputs)[1:] == (False, 0)
 
 
@@ -94,7 +94,7 @@ def one(x, heading, speed, dt, before=None):
     lost=st.floats(0.0, 0.6),
     dt=st.sampled_from([1 / 5, 1 / 10, 1 / 15, 1 / 30]),
 )
-def test_the_place_of_the_coming_frame_is_that_of_the_bound(heading, speed, lost, dt):
+def test_the_predicted_place_of_the_coming_frame_is_that_of_the_bound(heading, speed, lost, dt):
     before = one(0.0, 0.0, speed, dt)
     now = one(speed * dt - min(lost, abs(speed) * dt), heading, speed, dt, before)
     place = coming_place.py_func(0, now.states, now.stretch, now.motion, now.bodies)

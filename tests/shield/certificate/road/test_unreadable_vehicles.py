@@ -1,4 +1,4 @@
-"""A vehicle with a number that is not finite: it breaks a rule by that, and the others are judged as ever."""
+"""A vehicle with a number that is not finite breaks a rule by that; the other vehicles are judged as always."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -13,7 +13,7 @@ INPUTS = {"action": {"type": "ContinuousAction"}}
 
 
 class Parked(Vehicle):
-    """Stands, or drives straight on at constant speed, whatever its other numbers are."""
+    """A vehicle that stands, or drives straight on at constant speed, whatever its other numbers are."""
 
     def act(self, action=None):
         pass
@@ -49,7 +49,7 @@ def on_highway(inputs):
 @pytest.mark.parametrize(
     ("column", "rule"), [("position", "way"), ("heading", "way"), ("speed", "speed"), ("LENGTH", "size")]
 )
-def test_on_highways_it_is_named_once_and_the_others_are_judged(inputs, column, rule):
+def test_an_unreadable_vehicle_on_a_highway_is_one_violation_and_the_others_are_judged(inputs, column, rule):
     env, leader, far, idle = on_highway(inputs)
     env.step(idle)
     assert not env.door.by_rule
@@ -67,9 +67,9 @@ def test_on_highways_it_is_named_once_and_the_others_are_judged(inputs, column, 
 @pytest.mark.parametrize(
     ("column", "value", "rule"), [("LENGTH", 1e308, "size"), ("WIDTH", -2.0, "size"), ("speed", 1e9, "speed")]
 )
-def test_on_highways_numbers_beyond_any_vehicle_are_named_too(column, value, rule):
-    """A width below zero is the same rectangle in highway-env, sums of such lengths are no numbers, and braking changes
-    nothing at such speeds."""
+def test_a_vehicle_of_impossible_size_or_speed_is_a_violator(column, value, rule):
+    """highway-env treats a negative width as the same rectangle, sums of such lengths are not finite, and braking
+    changes nothing at such speeds."""
     env, _, far, idle = on_highway(False)
     env.step(idle)
     setattr(far, column, value)
@@ -78,7 +78,7 @@ def test_on_highways_numbers_beyond_any_vehicle_are_named_too(column, value, rul
     assert env.door.by_rule == {rule: 1}
 
 
-def test_a_long_body_counts_whose_rear_is_near():
+def test_a_long_body_counts_if_its_rear_is_near():
     """Its centre is beyond the perception range, and its rear 30 m ahead."""
     env, leader, _, idle = on_highway(False)
     leader.LENGTH, leader.speed = 360.0, 0.0
@@ -88,7 +88,7 @@ def test_a_long_body_counts_whose_rear_is_near():
     assert env.decisions[0].tier.fallback
 
 
-def test_on_highways_it_is_named_where_it_ends_the_episode():
+def test_an_unreadable_vehicle_in_the_last_frame_is_reported():
     env, _, far, idle = on_highway(False)
     env.unwrapped.config["duration"] = 0.5
     env.step(idle)
@@ -101,7 +101,7 @@ def test_on_highways_it_is_named_where_it_ends_the_episode():
 
 @pytest.mark.parametrize("env_id", ["roundabout-v0", "merge-v0"])
 @pytest.mark.parametrize(("column", "rule"), [("heading", "ways"), ("speed", "speed"), ("LENGTH", "grown")])
-def test_on_networks_it_is_named_once_and_the_others_are_judged(env_id, column, rule):
+def test_an_unreadable_vehicle_on_a_network_is_one_violation_and_the_others_are_judged(env_id, column, rule):
     env = ShieldedEnv(gym.make(env_id, config={"policy_frequency": 5}), "worst-case")
     env.reset(seed=3)
     road, ego = env.unwrapped.road, env.unwrapped.vehicle

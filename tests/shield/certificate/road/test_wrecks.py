@@ -1,4 +1,4 @@
-"""Wrecks that drive on, and bodies that grow: what the bound assumes is judged, without exceptions."""
+"""Wrecks that drive on, and bodies that grow: the monitor judges everything that the bound assumes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FAR = Ego(1e6, 0.0, 0.0, 20.0, 4.5, 1.3, 2.5, 1.0, False)
 
 
 class Wreck(Driven):
-    """One that has crashed, and is driven by hand all the same; without `drive` it slides as highway-env has it."""
+    """A crashed vehicle that is still driven by hand; without `drive` it slides as in highway-env."""
 
     def __init__(self, *args, **kwargs):
         super().__init__(*args, **kwargs)
@@ -40,7 +40,7 @@ DRIVES = {
 @pytest.mark.parametrize("kind", DRIVES)
 @pytest.mark.parametrize("hz", [5, 15])
 @pytest.mark.parametrize("door", ["env", "policy"])
-def test_a_wreck_that_drives_on_against_the_rules_is_named(kind, hz, door):
+def test_a_wreck_that_drives_on_against_the_rules_is_a_violator(kind, hz, door):
     out = drive(lambda road: [Wreck(road, 45.0, 1, 20.0, DRIVES[kind])], hz, seconds=6.0, door=door)
     assert out.verified
     assert out.violations > 0 or (kind == "goes backwards" and out.clearance > 0)
@@ -50,7 +50,7 @@ def test_a_wreck_that_drives_on_against_the_rules_is_named(kind, hz, door):
 @pytest.mark.parametrize("hz", [5, 15, 30])
 @pytest.mark.parametrize("speed", [8.0, 20.0, 38.0])
 def test_a_wreck_that_slides_as_highway_env_has_it_breaks_no_rule(hz, speed):
-    """Above 6 m/s it brakes harder than anybody else, 25 m/s^2 at 25 m/s, and the plan has counted on it."""
+    """Above 6 m/s it brakes harder than any other vehicle, 25 m/s² at 25 m/s, and the plan has counted on that."""
     out = drive(lambda road: [Wreck(road, 60.0, 1, speed)], hz, seconds=5.0)
     assert out.verified
     assert out.rules == {}
@@ -59,8 +59,8 @@ def test_a_wreck_that_slides_as_highway_env_has_it_breaks_no_rule(hz, speed):
 
 
 @pytest.mark.parametrize("dt", [1 / 5, 1 / 15])
-def test_what_a_wreck_may_do_stays_inside_its_bound(dt):
-    """Braking at the harder of 6 m/s^2 and 1/s times its speed in each frame is permitted, and no harder is."""
+def test_the_permitted_motion_of_a_wreck_stays_inside_its_bound(dt):
+    """In each frame a wreck may brake at the larger of 6 m/s² and its speed times 1/s, and no harder."""
     for rate in (1.0, 1.02):
         row = np.array([[0.0, 4.0, 0.0, 12.0, 5.0, 2.0, 1.0]])
         old, broken = around(row, dt), 0
@@ -77,7 +77,7 @@ def test_what_a_wreck_may_do_stays_inside_its_bound(dt):
 
 
 @pytest.mark.parametrize(("length", "width", "grown"), [(5.0, 2.0, 0), (5.1, 2.0, 1), (5.0, 2.1, 1), (4.0, 1.5, 0)])
-def test_a_body_that_grows_is_asked_about(length, width, grown):
+def test_growth_of_a_body_is_noticed(length, width, grown):
     row = np.array([[0.0, 4.0, 0.0, 10.0, 5.0, 2.0, 0.0]])
     later = np.array([[1.0, 4.0, 0.0, 10.0, length, width, 0.0]])
     first = around(row, 0.1)
@@ -87,7 +87,7 @@ def test_a_body_that_grows_is_asked_about(length, width, grown):
 
 @pytest.mark.parametrize("hz", [5, 15])
 @pytest.mark.parametrize("door", ["env", "policy"])
-def test_a_leader_that_grows_is_named(hz, door):
+def test_a_leader_that_grows_is_a_violator(hz, door):
     """By ten metres a second, at both ends."""
 
     def act(own, frame):

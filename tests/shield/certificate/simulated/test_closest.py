@@ -1,4 +1,4 @@
-"""The search over lanes and speeds against the same search written plainly, decision by decision."""
+"""The search over lanes and speeds against a plain search, decision by decision."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ DEPTH = 5
 
 
 def moving(search):
-    """What moves, as arrays by future."""
+    """The moving bodies, as arrays by future."""
     return search.futures.f, search.futures.g, search.futures.order, search.futures.clock
 
 
 def lost_at_least(search, k, decisions, wish):
-    """On an empty road, with what brings the speed there soonest."""
+    """The least loss on an empty road, with the actions that reach the speed soonest."""
     f, rules = search.futures.f[k], search.rules
     speeds, dt = [float(each) for each in rules.target_speeds], rules.times[0]
     speed, target, lost = float(f[SPEED, 0]), float(f[TARGET_SPEED, 0]), 0.0
@@ -41,10 +41,10 @@ def lost_at_least(search, k, decisions, wish):
 
 
 def plainly(search, only, never, wish, floor):
-    """Of each lane and speed, after each number of decisions, the best way there, with what is lost at the least from
-    there on: all of them are gone on with."""
+    """For each lane and speed, after each number of decisions: the best way there, with the least loss from there
+    on. All of them are continued."""
     spare, zero = search.bounds.spare, [array[0].copy() for array in moving(search)]
-    # A lane and a speed: cost, clearance, the actions, and what moves.
+    # A lane and a speed: cost, clearance, the actions, and the moving bodies.
     best, lasts = {None: (0.0, np.inf, (), zero, 0.0)}, ()
     for level in range(DEPTH):
         then = {}
@@ -81,7 +81,7 @@ def plainly(search, only, never, wish, floor):
 
 @pytest.mark.parametrize("floor", [0.0, -1e9])
 @pytest.mark.parametrize("seed", range(12))
-def test_it_finds_what_a_plain_search_finds(seed, floor):
+def test_the_search_finds_the_result_of_a_plain_search(seed, floor):
     config = ShieldConfig.simulated_traffic().replace(
         horizon=float(DEPTH), buffer=Buffer(4.0, 0.5) if seed % 2 else Buffer(0.5, 0.3)
     )
@@ -97,5 +97,5 @@ def test_it_finds_what_a_plain_search_finds(seed, floor):
             lasts, found = best_plan(search, only, never, DEPTH, wish, floor)
             assert lasts == len(plan)
             assert found == margin
-            # Of those that are equally clear, which there are many of, any.
+            # Several plans are equally clear; any of them may be found.
             assert floor < 0 or tuple(search.plan[:lasts]) == plan

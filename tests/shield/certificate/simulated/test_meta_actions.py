@@ -1,4 +1,5 @@
-"""Verification by simulation: what it promises happens in highway-env itself, and what it denies cannot be had."""
+"""Verification by simulation: a verified plan is clear in highway-env itself, and no plan exists where none was
+found."""
 
 from __future__ import annotations
 
@@ -58,7 +59,7 @@ def shielded(env, config=EXACT, action=3):
         *later((get_setting("highway-fast"), "faster", 20), (Setting("dense", "highway-fast-v0", DENSE), "random", 20)),
     ],
 )
-def test_many_decide_as_one_does_in_highway_env(setting, policy, count, simulator):
+def test_many_environments_decide_as_one_in_highway_env(setting, policy, count, simulator):
     seeds = range(500, 500 + count)
     alone = run_paired(setting, policy, [variant_for(EXACT)], seeds, simulator=simulator)
     assert alone["violations"].sum() == 0
@@ -72,16 +73,17 @@ def test_many_decide_as_one_does_in_highway_env(setting, policy, count, simulato
 @pytest.mark.parametrize(
     ("policy", "seed"), [("faster", 20_019_938), ("faster", 20_023_701), ("ppo-highway-fast", 22_063_126)]
 )
-def test_one_who_keeps_abreast_is_seen_in_time(policy, seed):
-    """It stays beside the ego at its slowest speed, and the leader is slower than that: 20 s see it too late."""
+def test_a_vehicle_that_keeps_abreast_is_predicted_in_time(policy, seed):
+    """It stays beside the ego at its slowest speed, and the leader is slower than that. A horizon of 20 s predicts
+    it too late."""
     short = EXACT.replace(horizon=20.0)
     assert Many(get_setting("highway-fast"), policy, short, envs=1).run([seed])["crashed"].all()
     assert not Many(get_setting("highway-fast"), policy, EXACT, envs=1).run([seed])["crashed"].any()
 
 
 @pytest.mark.parametrize("seed", [0, *later(1, 2, 3)])
-def test_what_verifies_is_clear_in_highway_env(seed):
-    """The plan behind every second such decision is driven in a copy of highway-env: nobody comes into the buffer."""
+def test_a_verified_plan_is_clear_in_highway_env(seed):
+    """The plan of every second such decision is driven in a copy of highway-env; no vehicle comes into the buffer."""
     env = gym.make("highway-fast-v0", config=DENSE).unwrapped
     obs, _ = env.reset(seed=700 + seed)
     policy, shield = shielded(env)
@@ -93,7 +95,7 @@ def test_what_verifies_is_clear_in_highway_env(seed):
         verified += decision.tier.verified
         if decision.tier.verified and verified % 2:
             copy = deepcopy(env)
-            # Of the episode's end nothing is asked: the road goes on.
+            # The end of the episode is put off: the road goes on.
             copy.config["duration"] = 1000
             then = plans.actions[0, : plans.length[0]].tolist()
             assert least_clearance(copy, [action, *then], EXACT.buffer) >= decision.margin - 1e-9 >= -1e-9
@@ -105,8 +107,8 @@ def test_what_verifies_is_clear_in_highway_env(seed):
 @pytest.mark.parametrize(
     ("seed", "buffer"), [(s, b) for s in (0, 16, 17, 38) for b in (Buffer(0.0, 0.0), Buffer(4.0, 0.5))]
 )
-def test_a_sequence_is_found_where_there_is_one(seed, buffer):
-    """Against all sequences of four actions. From seeds 16, 17 and 38 the first that comes to mind ends."""
+def test_a_sequence_is_found_where_one_exists(seed, buffer):
+    """Against all sequences of four actions. From seeds 16, 17 and 38 the first candidate ends."""
     config = EXACT.replace(horizon=4.0, buffer=buffer)
     simulator = Simulator("highway-fast-v0", 1, {"vehicles_density": 1.6})
     simulator.reset([900 + seed])
@@ -153,7 +155,7 @@ def restore(arrays, before):
 
 @pytest.mark.parametrize("seed", [60, 78, 149, 212, 257, 329, 385])
 def test_every_verified_plan_is_clear_until_the_horizon(seed):
-    """On these seeds some of what comes closest to the proposal for 8 s is not, or nothing is."""
+    """On these seeds some plans nearest to the proposal for 8 s are not clear, or none exists."""
     highways, tiers, done = ExactHighways("highway-fast-v0", 1, DENSE), [], False
     simulator, rows = highways.simulator, np.zeros((highways.simulator.scenario.bodies, 7))
     highways.reset([seed])
@@ -170,9 +172,9 @@ def test_every_verified_plan_is_clear_until_the_horizon(seed):
 
 
 @pytest.mark.parametrize("seed", [614, 920, 1442])
-def test_the_mask_is_of_what_passes(seed):
-    """At each decision of an episode in which, for a time, nothing keeps the buffer: then the search asks less.
-    On these seeds asking more would find more."""
+def test_the_mask_holds_the_actions_that_pass(seed):
+    """At each decision of an episode in which no plan keeps the buffer for a time. The search then requires less; on
+    these seeds requiring more would find more."""
     shielded = ShieldedEnv(CompiledHighwayEnv("highway-fast-v0", BOXED), EXACT)
     shielded.reset(seed=seed)
     door, rng, boxes, done = shielded._door, np.random.default_rng(seed), 0, False
@@ -191,9 +193,9 @@ def test_the_mask_is_of_what_passes(seed):
 
 
 @pytest.mark.parametrize("seed", [436, 586, 890])
-def test_what_has_been_in_vain_is_not_tried_again(seed):
-    """On these seeds the budget is spent at one dead end, if it may be gone to again and again: then nothing is found
-    that keeps the buffer."""
+def test_a_dead_end_is_not_searched_again(seed):
+    """On these seeds the budget would be spent on one dead end if it were entered again and again; no plan that
+    keeps the buffer would be found."""
     highways, rng, done = ExactHighways("highway-fast-v0", 1, BOXED), np.random.default_rng(seed), False
     highways.reset([seed])
     while not done:
@@ -202,14 +204,14 @@ def test_what_has_been_in_vain_is_not_tried_again(seed):
         assert TIERS[highways.records.tier[0]].verified
 
 
-def test_it_drives_and_does_not_crash():
+def test_the_shielded_ego_drives_and_does_not_crash_in_simulated_traffic():
     found = Many(get_setting("highway-fast"), "faster", EXACT).run(range(100))
     assert found["crashed"].sum() == 0
     assert found["return"].mean() > 28.0
 
 
 def test_the_policy_s_order_is_followed():
-    """Of the alternatives that verify, the one that it likes most is taken."""
+    """Of the alternatives that verify, the policy's preferred one is executed."""
     highways = ExactHighways("highway-fast-v0", 1, DENSE)
     taken = {}
     for name, order in (("left", [0, 2, 1, 4, -1]), ("slow", [4, 1, 2, 0, -1])):
@@ -244,7 +246,7 @@ def test_an_obstacle_is_seen():
     assert not ego.crashed
 
 
-def test_traffic_that_does_something_else_is_counted():
+def test_a_prediction_mismatch_is_counted():
     """Once, and with the step in which it did so: before the next decision, which may never come."""
     env = gym.make("highway-fast-v0").unwrapped
     obs, _ = env.reset(seed=8)
@@ -261,7 +263,7 @@ def test_traffic_that_does_something_else_is_counted():
     assert shield.statistics.violations == 1
 
 
-def test_another_action_than_the_shield_s_is_no_offence_of_the_traffic():
+def test_another_action_than_the_shield_s_is_no_violation_of_the_traffic():
     env = gym.make("highway-fast-v0").unwrapped
     obs, _ = env.reset(seed=8)
     _, shield = shielded(env)
@@ -287,7 +289,7 @@ def test_a_scene_that_cannot_be_read_is_answered_with_the_stored_plan(planned):
 
 
 @pytest.mark.parametrize("action", [7, -1, float("nan")])
-def test_what_is_no_action_is_answered_with_the_stored_plan(action):
+def test_an_invalid_action_is_answered_with_the_stored_plan(action):
     env = CompiledHighwayEnv("highway-fast-v0")
     obs, _ = env.reset(seed=9)
     policy, shield = shielded(env)
@@ -304,7 +306,7 @@ IMAGES = {"type": "GrayscaleObservation", "observation_shape": (32, 16), "stack_
 
 @pytest.mark.parametrize("observation", [LIDAR, IMAGES], ids=["lidar", "images"])
 @pytest.mark.parametrize("env_id", ["highway-fast-v0", "roundabout-v1"])
-def test_what_the_policy_observes_changes_no_decision(observation, env_id):
+def test_the_observation_type_changes_no_decision(observation, env_id):
     seen = []
     for config in ({}, {"observation": observation, "offscreen_rendering": True}):
         env = ShieldedEnv(gym.make(env_id, config=config), EXACT)
@@ -350,7 +352,7 @@ class Stranger(IDMVehicle):
         ),
     ],
 )
-def test_what_cannot_be_simulated_is_refused(make, message):
+def test_an_environment_that_cannot_be_simulated_is_refused(make, message):
     with pytest.raises(ConfigError, match=message):
         make()
 
@@ -360,7 +362,7 @@ def test_settings_go_through_toml():
     assert ShieldConfig.from_toml('assumptions = "simulated"').assumptions == Assumptions.simulated_traffic()
 
 
-def test_the_present_is_not_touched():
+def test_the_search_does_not_change_the_present_state():
     highways = ExactHighways("highway-fast-v0", 1)
     highways.reset([3])
     rows = np.zeros((highways.simulator.scenario.bodies, 7))

@@ -1,4 +1,4 @@
-"""Simulated traffic: a body that appears is named where it leaves the ego nothing that verifies, and only there."""
+"""Simulated traffic: a body that appears is named if it leaves the ego no verified plan, and only then."""
 
 from __future__ import annotations
 
@@ -59,11 +59,11 @@ class Runs:
 
     @property
     def rules(self):
-        """The offences of the episode so far."""
+        """The violations of the episode so far."""
         return (self.env._door if self.shield is None else self.shield._doors[0]).by_rule
 
     def step(self):
-        """What is reported of the next decision."""
+        """The report of the next decision."""
         action = self.action if self.shield is None else self.shield.predict(self.obs)[0]
         self.obs, _, self.over, _, info = self.env.step(action)
         return info["shield"] if self.shield is None else self.shield.report()
@@ -72,8 +72,8 @@ class Runs:
 @pytest.mark.parametrize("kind", [IDMVehicle, Obstacle])
 @pytest.mark.parametrize("door", ["env", "policy"])
 @pytest.mark.parametrize("case", CASES)
-def test_one_that_appears_in_the_way_is_named(case, door, kind):
-    """A wall close ahead of the ego between two decisions: what kept the buffer before does not any more."""
+def test_a_body_that_appears_in_the_way_in_simulated_traffic_is_a_violator(case, door, kind):
+    """A wall appears close ahead of the ego between two decisions; the stored plan no longer keeps the buffer."""
     run = Runs(case, door)
     assert run.step()["violations"] == 0
     put(run.base, 6.5, kind)
@@ -83,8 +83,8 @@ def test_one_that_appears_in_the_way_is_named(case, door, kind):
 
 @pytest.mark.parametrize("door", ["env", "policy"])
 @pytest.mark.parametrize("case", ["highway", "merge", "roundabout"])
-def test_one_that_appears_amid_a_decision_and_is_hit_is_named(case, door):
-    """Nothing is decided between its appearance and the crash that ends the episode."""
+def test_a_body_that_appears_within_a_decision_and_is_hit_is_a_violator(case, door):
+    """No decision falls between its appearance and the crash that ends the episode."""
     run = Runs(case, door)
     own, frames = run.base.road.step, []
     assert run.step()["violations"] == 0
@@ -103,8 +103,8 @@ def test_one_that_appears_amid_a_decision_and_is_hit_is_named(case, door):
 
 @pytest.mark.parametrize("door", ["env", "policy"])
 @pytest.mark.parametrize("case", CASES)
-def test_one_that_appears_elsewhere_is_not_named(case, door):
-    """Behind the ego nobody takes anything away."""
+def test_a_body_that_appears_behind_the_ego_is_no_violator(case, door):
+    """Behind the ego a body takes no plan away."""
     run = Runs(case, door)
     run.step()
     ego = run.base.vehicle
@@ -116,7 +116,7 @@ def test_one_that_appears_elsewhere_is_not_named(case, door):
 
 
 @pytest.mark.parametrize("door", ["env", "policy"])
-def test_only_the_newcomer_in_the_way_is_named(door):
+def test_only_the_new_body_in_the_way_is_a_violator(door):
     """Of two that appear at once, one wall of bodies in the way, and one behind."""
     run = Runs("highway", door)
     run.step()
@@ -130,11 +130,11 @@ def test_only_the_newcomer_in_the_way_is_named(door):
 
 
 @pytest.mark.parametrize("door", ["env", "policy"])
-def test_one_that_cannot_be_simulated_is_named(door):
+def test_a_new_vehicle_that_cannot_be_simulated_is_a_violator(door):
     """A vehicle of an unknown class makes the scene unreadable; without it the scene would be simulated."""
 
     class Stranger(Vehicle):
-        """Drives in a way of its own."""
+        """A vehicle with its own driver model."""
 
     run = Runs("highway", door)
     run.step()
@@ -147,8 +147,8 @@ def test_one_that_cannot_be_simulated_is_named(door):
 
 @pytest.mark.parametrize("door", ["env", "policy"])
 @pytest.mark.parametrize("case", ["highway", "merge", "roundabout"])
-def test_one_that_grows_or_moves_is_named(case, door):
-    """A vehicle grows, and then an obstacle that stood is moved: both were foretold otherwise."""
+def test_a_body_that_grows_or_an_obstacle_that_moves_is_a_prediction_mismatch(case, door):
+    """A vehicle grows, and then a standing obstacle is moved; neither was predicted."""
     run = Runs(case, door)
     ego = run.base.vehicle
     stone = Obstacle(run.base.road, ego.position - 60.0 * ego.direction)
@@ -164,8 +164,8 @@ def test_one_that_grows_or_moves_is_named(case, door):
     assert run.rules["unforeseen"] >= 2
 
 
-def test_what_highway_env_spawns_itself_is_not_named():
-    """Intersections draw newcomers between two decisions, which no simulation knows."""
+def test_a_vehicle_that_highway_env_spawns_is_no_violator():
+    """Intersections spawn vehicles between two decisions, which no simulation predicts."""
     env = ShieldedEnv(gym.make("intersection-v0", config={"spawn_probability": 1.0, "duration": 15}), EXACT)
     for seed in range(2):
         env.reset(seed=seed)
@@ -176,8 +176,8 @@ def test_what_highway_env_spawns_itself_is_not_named():
             done = terminated or truncated
 
 
-def test_one_that_appears_before_one_of_several_egos_is_named():
-    """The shield of a team asks for all plans together."""
+def test_a_body_that_appears_before_one_of_several_egos_is_a_violator():
+    """The shield of several egos verifies all plans together."""
     env = ShieldedEnv(gym.make("intersection-multi-agent-v2", config={"controlled_vehicles": 2}), EXACT)
     env.reset(seed=0)
     base = env.unwrapped

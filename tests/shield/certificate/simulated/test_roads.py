@@ -1,4 +1,4 @@
-"""Many roads side by side, verified by simulation: each episode is the one that a shield around one of them drives."""
+"""Many roads in one batch, verified by simulation: each episode is that of a shield around a single environment."""
 
 from dataclasses import replace
 
@@ -45,7 +45,7 @@ FASTER = 3
         ("intersection linear", "random", range(2)),
     ],
 )
-def test_side_by_side_is_one_by_one(name, policy, seeds):
+def test_a_batch_drives_the_episodes_of_single_environments(name, policy, seeds):
     road, _, traffic = name.partition(" ")
     setting = get_setting(road).with_traffic(traffic) if traffic else get_setting(road)
     many = Many(setting, policy, CONFIG, envs=2).run(seeds)
@@ -60,7 +60,7 @@ def test_side_by_side_is_one_by_one(name, policy, seeds):
             assert one.tolist() == other.tolist(), column
 
 
-def test_side_by_side_is_one_by_one_without_a_shield():
+def test_a_batch_without_a_shield_drives_the_episodes_of_single_environments():
     """Crashes are attributed as well."""
     setting, bare = get_setting("roundabout").with_traffic("aggressive"), ShieldConfig(mode="none")
     many = Many(setting, "faster", bare, envs=2).run(range(4))
@@ -73,9 +73,9 @@ def test_side_by_side_is_one_by_one_without_a_shield():
 
 
 @pytest.mark.parametrize("seed", [6663, 86_003_496])
-def test_who_stands_where_wrecks_will_slide_to_leaves(seed):
-    """Nothing keeps the buffer, and what is most clear until then, to stand, is hit. (It would not have come there, if
-    it were asked where its plans end.)"""
+def test_an_ego_in_the_path_of_sliding_wrecks_drives_away(seed):
+    """No plan keeps the buffer, and the plan that is clear for longest, to stand, is hit. The check of where plans
+    end is off, since the ego would not come there otherwise."""
     roads = ExactRoads("intersection-v0", 1)
     roads._searches[0].rules.network.ids[:, CROSSES] = 0
     roads.reset([seed])
@@ -89,8 +89,8 @@ def test_who_stands_where_wrecks_will_slide_to_leaves(seed):
 
 
 @pytest.mark.parametrize(("seed", "duration"), [(252_049_686, 13), (5011, 30), (5296, 30), (5337, 30)])
-def test_no_plan_ends_where_ways_cross(seed, duration):
-    """Who stops there behind wrecks keeps clear of everybody who is there, and is hit by who comes later."""
+def test_no_plan_ends_inside_a_crossing(seed, duration):
+    """An ego that stops there behind wrecks is clear of all present vehicles, and is hit by a later one."""
     roads, over, crashed = ExactRoads("intersection-v0", 1, {"duration": duration}), False, False
     roads.reset([seed])
     while not over:
@@ -99,8 +99,8 @@ def test_no_plan_ends_where_ways_cross(seed, duration):
     assert not crashed
 
 
-def test_who_stands_where_ways_cross_may_stay_there():
-    """And a plan that ends there is taken where there is no other."""
+def test_an_ego_that_stands_inside_a_crossing_may_stay_there():
+    """A plan that ends inside a crossing is also taken where no other exists."""
     roads = ExactRoads("intersection-v0", 1)
     (search,), crossing, stood, forced = roads._searches, False, 0, 0
     for seed in range(40):
@@ -121,9 +121,9 @@ def test_who_stands_where_ways_cross_may_stay_there():
 
 
 @pytest.mark.parametrize("seed", [35, 103, 185])
-def test_what_lasts_longest_lasts_as_long_as_what_was_planned(seed):
-    """Wrecks lie in the bend: nothing keeps the buffer. No decision takes longer than its effort, but for the actions
-    of the state that it was in."""
+def test_the_longest_clear_plan_lasts_as_long_as_the_stored_plan(seed):
+    """Wrecks lie in the bend: no plan keeps the buffer. A decision exceeds its node budget only by the actions of
+    its last state."""
     roads, boxed_in, over = ExactRoads("u-turn-v0", 1), 0, False
     (search,) = roads._searches
     bounds, most = search.bounds, 0
@@ -140,7 +140,7 @@ def test_what_lasts_longest_lasts_as_long_as_what_was_planned(seed):
 
 
 def driven(env_id, seed, decisions):
-    """The road after so many decisions of always FASTER, and what was planned."""
+    """The road after a number of decisions of always FASTER, and the stored plan."""
     roads = ExactRoads(env_id, 1)
     roads.reset([seed])
     for _ in range(decisions):
@@ -154,8 +154,8 @@ def keeps_buffer(search, actions):
 
 
 @pytest.mark.parametrize("env_id", ["two-way-v0", "u-turn-v0"])
-def test_what_begins_otherwise_joins_what_was_planned(env_id):
-    """Where the plan can be gone on with after another action, that is what is found."""
+def test_another_first_action_is_continued_with_the_stored_plan(env_id):
+    """Where the stored plan can be continued after another action, the search finds exactly that."""
     joined = 0
     for seed in range(12):
         roads, search, stored, length = driven(env_id, seed, 2)
@@ -173,8 +173,8 @@ def test_what_begins_otherwise_joins_what_was_planned(env_id):
 @pytest.mark.parametrize(
     ("env_id", "seed", "decisions"), [("two-way-v0", 1, 2), ("u-turn-v0", 9, 3), ("u-turn-v0", 36, 2)]
 )
-def test_what_cannot_join_what_was_planned_slows_down(env_id, seed, decisions):
-    """All of the budget spent on joining it finds nothing on these seeds."""
+def test_a_proposal_that_cannot_join_the_stored_plan_slows_down(env_id, seed, decisions):
+    """On these seeds the whole node budget spent on joining the stored plan finds nothing."""
     roads, search, stored, length = driven(env_id, seed, decisions)
     budget = search.bounds.budget
     enter(search, roads.worlds, 0)
@@ -185,8 +185,8 @@ def test_what_cannot_join_what_was_planned_slows_down(env_id, seed, decisions):
 
 
 @pytest.mark.parametrize("seed", [52, 130])
-def test_what_lasts_longest_is_looked_for_in_more_than_one_future_of_each_lane_and_speed(seed):
-    """Boxed in with nothing planned, what was most clear until then is hit."""
+def test_the_longest_clear_plan_is_searched_beyond_one_state_per_lane_and_speed(seed):
+    """Boxed in without a stored plan, the ego with the largest clearance so far would be hit."""
     roads = ExactRoads("u-turn-v0", 1)
     roads.reset([seed])
     for _ in range(9):
@@ -201,9 +201,9 @@ def test_what_lasts_longest_is_looked_for_in_more_than_one_future_of_each_lane_a
 
 
 @pytest.mark.parametrize("seed", [135, 271, 287, 347])
-def test_what_was_planned_is_gone_on_with(seed):
-    """On these seeds all that a decision may simulate finds nothing from the present, and little from where the plan
-    ends."""
+def test_the_stored_plan_is_continued_and_stays_verified(seed):
+    """On these seeds the node budget of a decision finds nothing from the present state, and little from the end of
+    the plan."""
     roads, over = ExactRoads("u-turn-v0", 1), False
     roads.reset([seed])
     while not over:
@@ -213,20 +213,20 @@ def test_what_was_planned_is_gone_on_with(seed):
 
 
 @pytest.mark.parametrize(("env_id", "decisions"), [("intersection-v0", 7), ("u-turn-v0", 7), ("highway-fast-v0", 9)])
-def test_how_far_is_looked_ahead(env_id, decisions):
+def test_the_lookahead_of_each_road(env_id, decisions):
     config = replace(CONFIG, horizon=9.0, network_horizon=7.0)
     of = ExactHighways if env_id == "highway-fast-v0" else ExactRoads
     assert of(env_id, 1, shield=config)._searches[0].bounds.depth == decisions
 
 
-def test_who_asks_for_the_exit_gets_there():
-    """On these seeds what is as fast as can be passes it by."""
+def test_an_ego_that_proposes_the_exit_takes_it():
+    """On these seeds the fastest plan passes the exit."""
     seeds = [5009, 5011, 5026]
     found = run_paired(get_setting("exit"), "right", [variant_for(CONFIG)], seeds, simulator="auto", jobs=1)
     assert found["success"].all()
 
 
-def test_episodes_follow_one_another():
+def test_a_finished_episode_is_followed_by_the_next():
     roads = ExactRoads("roundabout-v1", 1, {"duration": 2})
     roads.reset([3])
     for _ in range(3):
@@ -236,7 +236,7 @@ def test_episodes_follow_one_another():
 
 
 @pytest.mark.parametrize("name", ["roundabout", "intersection"])
-def test_without_a_shield_what_is_proposed_is_executed(name):
+def test_the_proposal_is_executed_without_a_shield(name):
     """The same episodes as in the simulator alone."""
     setting = get_setting(name)
     roads = ExactRoads(setting.env_id, 2, setting.configured, ShieldConfig(mode="none"))
@@ -253,7 +253,7 @@ def test_without_a_shield_what_is_proposed_is_executed(name):
         roads.step(np.array([9, 0]))
 
 
-def test_what_cannot_be_is_refused():
+def test_unsupported_roads_and_options_are_refused():
     with pytest.raises(ConfigError, match="straight highways only"):
         ExactRoads("merge-v0", 1, tape=True)
     with pytest.raises(ConfigError, match="straight highways only"):

@@ -69,7 +69,7 @@ def test_no_verified_decision_has_a_negative_margin(door):
 
 @pytest.mark.parametrize("door", ["frame", "throttle"])
 def test_a_plan_that_nearly_verifies_does_not_displace_one_that_does(door):
-    """Where braking verifies, something that verifies is executed."""
+    """Where braking verifies, a verified plan is executed."""
     found = []
     for gap in np.arange(9.0, 30.0, 0.1):
         scene = scene_of((0.0, 0.0, 0.0, 20.0), (gap, 0.0, 0.0, 14.0), speed=25.0, lanes=1)

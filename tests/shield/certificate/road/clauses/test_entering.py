@@ -24,7 +24,7 @@ def test_a_vehicle_that_loses_by_a_lane_change_does_not_enter():
     leader = 60, 4, 0, 15
     beyond = (0, 0, 0, 20), (8, 8, 0, 15)
     assert clear(scene_of(*beyond), 1) < 0 <= clear(scene_of(*beyond, leader), 1)
-    # One that is on its way does.
+    # A vehicle on its way into the lane enters it.
     assert clear(scene_of((0, 0, 0, 20), (8, 8, -0.05, 15), leader), 1) < 0
 
 
@@ -32,7 +32,7 @@ def test_no_entrant_is_added_once_a_plan_stops_in_the_lane():
     held_up = scene_of((0, 0, 0, 20), (8, 8, 0, 15), (30, 8, 0, 10))
     nobody = np.zeros((4, 2), dtype=bool)
     assert clear(held_up, 1, coming=nobody) < 0 <= clear(held_up, 1, coming=nobody, stored=1)
-    # But for a lane out of whose sight the ego gets meanwhile.
+    # Except for a lane from which the ego gets out of sight meanwhile.
     seen = np.array([1000, 1000, 0, 0])
     leaving = scene_of((0, 1.2, -0.3, 20), (8, 8, 0, 15), (30, 8, 0, 10))
     assert clear(leaving, 0, fail=1, coming=nobody, stored=1, visible=seen) < 0
@@ -47,7 +47,8 @@ def test_a_vehicle_that_is_changing_lanes_may_enter_until_the_ego_has_been_visib
 
 
 def test_any_vehicle_may_enter_a_lane_from_which_the_ego_is_not_visible():
-    """The ego has a plan to stop in lane 1, from which it gets out of sight; nobody gains by going there."""
+    """The ego has a plan to stop in lane 1, where it is out of sight; no vehicle has a lane-change incentive to go
+    there."""
     for r, comes in ((5.5, False), (7.2, True)):
         core = ShieldCore()
         core.look(scene_of((0, 5.4, 0, 10), (20, 0, 0, 10)))

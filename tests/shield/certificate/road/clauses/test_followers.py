@@ -60,7 +60,7 @@ def test_a_follower_owes_its_distance_in_the_lane_of_the_ego_only():
     # In a lane that the ego leans into and does not own.
     other = scene_of((0, 1.0, 0, 5), (-12, 4, 0, 25))
     assert along(other, leaning(5.0), 0) < 0
-    # In the ego's lane and in the one that it enters.
+    # In the ego's lane and in the entered lane.
     both = scene_of((0, 0, 0, 5), (-12, 2.2, 0, 25))
     assert clear(both, 1) < 0
 
@@ -86,7 +86,7 @@ def test_a_follower_owes_its_distance_until_the_ego_has_left_its_strip():
 
 @pytest.mark.parametrize(("front", "owed", "behind"), [(-4.6, True, True), (-4.6, False, False), (-4.4, True, False)])
 def test_a_follower_is_behind_until_it_touches_the_buffer(front, owed, behind):
-    """Beside the rearmost corner of a turned ego, the other corner of whose buffer is further ahead."""
+    """Beside the rearmost corner of a turned ego; the other corner of its buffer is further ahead."""
     scene = scene_of((0, 0, 0.3, 5), (front - 2.5, -1.6, 0, 5))
     assert 4.5 * np.cos(0.3) + 1.3 * np.sin(0.3) > 4.6
     assert Surveyor(scene, CONFIG, followers=np.array([owed])).others.behind[0] == behind

@@ -1,4 +1,4 @@
-"""The compiled loops against the same quantities as whole arrays, and what they say of numbers that are none."""
+"""The compiled loops against the same quantities as whole arrays, and their results for values that are not finite."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def expected(paths, t):
 def test_separations_are_those_of_whole_arrays(seed, n, m, frames):
     rng = np.random.default_rng(seed)
     paths, t = drives(rng, n, frames), traffic(rng, n, m, frames)
-    paths[..., 2] *= 0.02  # along the road: what a heading adds is tested against the simulator below
+    paths[..., 2] *= 0.02  # along the road; the effect of a heading is tested against the simulator below
     got, wanted = separations_of(paths, t), expected(paths, t)
     np.testing.assert_allclose(got[0], wanted[0], rtol=0, atol=1e-9)
     np.testing.assert_array_equal(got[1], wanted[1])
@@ -145,7 +145,7 @@ def test_a_path_that_is_not_finite_has_no_separation(value, column):
 
 
 @pytest.mark.parametrize("name", ["low", "high", "rear"])
-def test_a_vehicle_that_is_nowhere_has_no_separation(name):
+def test_an_absent_vehicle_has_no_separation(name):
     rng = np.random.default_rng(1)
     paths, t = drives(rng, 2, 5), traffic(rng, 2, 3, 5)
     t["follows"] = np.zeros(3, dtype=bool)
@@ -210,7 +210,7 @@ def others_at(lanes, ahead, across=0.0, r=None, gains=True):
 
 
 def entering(others, gains, before=None, visible=(0, 0, 0), stored=-1, entered=-1):
-    """The same with those filled in who may enter which lane, after those of the scene before."""
+    """The same, with the vehicles that may enter each lane, after those of the scene before."""
     before = np.zeros((0, 0), dtype=bool) if before is None else before
     beside, comes = np.zeros_like(others.beside), np.zeros_like(others.comes)
     others = others._replace(beside=beside, comes=comes)
@@ -233,7 +233,7 @@ def sides(path, lane, fail, others, r=0.0):
     return low, high, home
 
 
-def test_until_the_ego_is_in_sight_in_a_lane_those_beside_it_may_enter_it_too():
+def test_vehicles_beside_a_lane_may_enter_it_until_the_ego_is_visible_there():
     path = np.zeros((1, 9, 4))
     path[0, :, 1] = np.linspace(0.3, 4.0, 9)
     others = others_at([2, 2, 0, 1], [20.0, -20.0, 20.0, 30.0])
@@ -252,10 +252,10 @@ def test_until_the_ego_is_in_sight_in_a_lane_those_beside_it_may_enter_it_too():
     (0.0, 8.0, 4, False),
     (-1.0, 8.0, 4, True),  # it was on its way before
     (-1.0, 8.0, 29, True),
-    (-1.0, 8.0, 30, False),  # nobody is for that long
+    (-1.0, 8.0, 30, False),  # no vehicle is visible for that long
     (-1.0, 8.8, 4, False),  # it settles in the middle of its own lane
 ])  # fmt: skip
-def test_once_it_is_only_who_was_on_the_way_may_still_come(across, r, visible, comes):
+def test_a_vehicle_may_enter_a_lane_with_a_visible_ego_only_if_it_was_on_its_way(across, r, visible, comes):
     path = np.zeros((1, 9, 4))
     path[0, :, 1] = 4.0
     first, gains = others_at([2], [10.0], across, [r]), np.ones((1, 2), dtype=bool)
@@ -266,8 +266,9 @@ def test_once_it_is_only_who_was_on_the_way_may_still_come(across, r, visible, c
 
 
 @given(seeds)
-def test_what_stays_apart_in_the_coming_frame_does_so_in_the_simulator(seed):
-    """Whatever the other's heading: where nothing is said against it, highway-env counts no coming collision."""
+def test_bodies_apart_in_the_coming_frame_do_not_collide_in_the_simulator(seed):
+    """For any heading of the other vehicle: where the clause refuses nothing, highway-env counts no coming
+    collision."""
     rng = np.random.default_rng(seed)
     dt, size = rng.choice([0.2, 1 / 15]), Footprint(4.5, 1.3, 5.0, 2.0)
     ego, other = Simulated(None, [0, 0], rng.normal(0, 0.2), rng.uniform(0, 35)), None
@@ -312,7 +313,7 @@ def test_margins_are_those_of_whole_arrays(seed, n, m, slipping):
     )
 
 
-def test_a_vehicle_that_is_nowhere_stays_so():
+def test_an_absent_vehicle_stays_absent():
     others = others_at([1], [np.nan], r=[np.nan])
     low, high, _ = sides(drives(np.random.default_rng(0), 1, 5), 1, 1, others)
     assert np.isnan(low).all()

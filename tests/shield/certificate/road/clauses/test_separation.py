@@ -23,7 +23,7 @@ def beside(psi, at):
 @pytest.mark.parametrize("config", [CONFIG, HELD_UP])
 @pytest.mark.parametrize(("v", "leader"), [(10.0, 10.0), (25.0, 15.0)])
 def test_a_leader_that_brakes_and_turns_within_its_limits_is_not_touched(v, leader, config):
-    """It turns as soon as it is slow, and again with what has come back since."""
+    """The leader turns as soon as it is slow, and again with the room that has come back since."""
     accepted, least = 0, np.inf
     for gap in np.arange(8.0, 60.0, 0.1):
         scene = scene_of((0, 0, 0, v), (gap, 0, 0, leader))
@@ -52,7 +52,7 @@ def test_the_buffer_is_kept_along_and_across_the_road():
 
 
 def test_a_vehicle_that_stands_in_a_queue_may_reverse():
-    """From one that stands 6 m ahead of it, by another 8 m."""
+    """With a standing vehicle 6 m ahead of it, by another 8 m."""
     assert margin(scene_of((0, 0, 0, 0), (14, 0, 0, 0)), 0) > 6
     assert margin(scene_of((0, 0, 0, 0), (14, 0, 0, 0), (20, 0, 0, 0)), 0) < 0
 
@@ -64,7 +64,7 @@ def test_a_body_beyond_the_lane_marking_may_return():
 
 @pytest.mark.parametrize("at", [0, 1])
 def test_the_next_frame_at_constant_velocity_is_clear_too(at):
-    """highway-env counts as a collision what constant velocity would bring within a frame."""
+    """highway-env counts as a collision an overlap that constant velocity would bring within a frame."""
     scene = scene_of((0, 0, 0, 20), (2.0, 4, 0, 20), lanes=2, dt=0.2)
     assert along(scene, beside(0.0, at)) >= 0
     assert along(scene, beside(0.3, at)) < 0

@@ -1,4 +1,4 @@
-"""What the tests of both doors share."""
+"""Fixtures of the tests of both wrappers."""
 
 import pytest
 from faults import spied

@@ -1,4 +1,4 @@
-"""Settings survive TOML unchanged, and whatever is wrong is named together with what would be right."""
+"""Settings survive TOML unchanged, and an error names the wrong setting together with the valid ones."""
 
 import pickle
 from dataclasses import FrozenInstanceError, fields
@@ -74,7 +74,7 @@ def test_file_round_trip(tmp_path):
     assert ShieldConfig.load(str(tmp_path / "shield.toml")) == config
 
 
-def test_what_is_left_out_keeps_its_default():
+def test_a_setting_left_out_keeps_its_default():
     assert ShieldConfig.from_toml("") == ShieldConfig()
     config = ShieldConfig.from_toml("braking = 5.0\n[buffer]\nlateral = 1.0\n[assumptions]\nbraking = 3.0")
     assert config == ShieldConfig(braking=5.0, buffer=Buffer(lateral=1.0), assumptions=Assumptions(braking=3.0))
@@ -111,7 +111,7 @@ def test_assumptions_can_be_a_profile(name):
         ('norm = "euclid"', "unknown norm 'euclid'; valid are range, acceleration"),
     ],
 )
-def test_what_is_wrong_is_named(text, word):
+def test_an_invalid_setting_is_named(text, word):
     with pytest.raises(ConfigError, match=word):
         ShieldConfig.from_toml(text)
 
@@ -156,7 +156,7 @@ def test_two_configurations_do_not_share_their_parts_by_mutation():
 
 
 @pytest.mark.parametrize("door", [ShieldedEnv, lambda env, config: Shield(ConstantPolicy(1), env=env, config=config)])
-def test_both_doors_take_settings_or_their_file_and_refuse_anything_else(door, tmp_path):
+def test_both_wrappers_take_settings_or_their_file_and_refuse_anything_else(door, tmp_path):
     env, path = gym.make("highway-fast-v0"), tmp_path / "shield.toml"
     ShieldConfig(braking=5.0).save(path)
     for config in (ShieldConfig(braking=5.0), path, str(path)):

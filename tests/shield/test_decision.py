@@ -1,4 +1,4 @@
-"""One record a step: whatever reports it says the same, and that is what the environment was given."""
+"""One record a step: every report of it agrees, and matches the action that the environment got."""
 
 import copy
 import math
@@ -47,8 +47,8 @@ def plan_for(env, seed):
 
 
 def steps(name, door, seed):
-    """Drive an episode: of each step what was proposed, the record, the report, the frames, what the environment was
-    given, where the ego is, and where an unshielded copy of the environment comes to with the proposal."""
+    """Drive an episode. For each step: proposal, record, report, frames, the action that the environment got, the
+    ego's state, and the state of an unshielded copy that executes the proposal."""
     env_id, settings, config = CELLS[name]
     bare = gym.make(env_id, config=settings)
     base = bare.unwrapped
@@ -89,9 +89,9 @@ def steps(name, door, seed):
         if not (door == "actions" and name in ("highway, simulated inputs", "roundabout"))
     ],
 )
-def test_every_report_of_a_step_says_the_same_and_it_is_what_was_done(name, door):
-    """The README's `last_decision` said "passed", "executed unchanged", of steps that `info["shield"]` called
-    overridden, and `3 -> 3` was told as an override of which no frame was changed."""
+def test_every_report_of_a_step_agrees_with_the_executed_action(name, door):
+    """The README's `last_decision` said "passed", "executed unchanged", for steps that `info["shield"]` called
+    overridden. `3 -> 3` was reported as an override although no frame had changed."""
     reports, tally, met = [], Tally(), set()
     for seed in (912_000, 912_001):
         reports.clear()
@@ -124,7 +124,7 @@ def test_every_report_of_a_step_says_the_same_and_it_is_what_was_done(name, door
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_several_egos_have_one_record_and_one_each():
+def test_several_egos_have_a_joint_record_and_one_record_each():
     env = ShieldedEnv(gym.make("intersection-multi-agent-v0"), EXACT)
     overridden = 0
     for seed in range(912_000, 912_004):
@@ -149,8 +149,8 @@ def decision(tier, reason=Reason.UNVERIFIED, proposed=3, executed=3, margin=1.0)
     return Decision(proposed, executed, Reason.NONE if tier is Tier.PASSED else reason, tier, margin, 0.5)
 
 
-def test_a_step_is_named_by_what_was_done_in_it():
-    """The words, one by one: nothing, held back, another action; and a fallback comes before any other reason."""
+def test_the_intervention_of_a_step_follows_from_its_frames():
+    """Each intervention: none, held back, another action. A fallback comes before any other reason."""
     passed, governed, other = (decision(tier) for tier in (Tier.PASSED, Tier.GOVERNED, Tier.PASSED))
     other = decision(Tier.ALTERNATIVE, executed=1)
     assert passed.with_frames([passed] * 3).intervention is Intervention.NONE

@@ -1,7 +1,8 @@
-"""Decisions on every road are those that were recorded: a change that means to keep them keeps them.
+"""Decisions on every road equal the recorded ones.
 
-Where decisions are meant to change, `make decisions RECORD=--record` writes the file anew and the commit says why. Here
-the cells of `ShieldedEnv` by default and in the worst case are compared; `make decisions` compares all.
+A change that means to alter decisions records them anew with `make decisions RECORD=--record`, and its commit message
+gives the reason. Here the cells of `ShieldedEnv` with default settings and in the worst case are compared; `make
+decisions` compares all.
 """
 
 import pytest
@@ -15,7 +16,7 @@ BY_ENV = {env_id: group for env_id, group in BEFORE.groupby(BEFORE.cell.str.part
 
 @pytest.mark.parametrize("env_id", BY_ENV)
 def test_decisions_are_those_recorded(env_id):
-    """What is executed, why, from which stage, with which margin and clause, and where the ego comes to be."""
+    """The executed action, its reason, tier, margin and clause, and the ego's state afterwards."""
     before = BY_ENV[env_id]
     now = decided([Cell(*cell.split("; ")) for cell in before.cell.unique()])
     assert not list(differences(before, now))
@@ -23,7 +24,7 @@ def test_decisions_are_those_recorded(env_id):
 
 @pytest.mark.parametrize("column", [*recorded_decisions.TEXTS, *recorded_decisions.COUNTS, "margin", "speed"])
 def test_each_column_is_compared(column):
-    """A change of any column, a decision that is missing and a cell that is missing are told."""
+    """A change of any column, a missing decision and a missing cell are reported."""
     before = BEFORE[BEFORE.cell == BEFORE.cell.iloc[0]]
     now = before.copy()
     now[column] = now[column] + ("x" if column in recorded_decisions.TEXTS else 1)

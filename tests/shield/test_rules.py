@@ -45,9 +45,9 @@ def test_rss_gap_by_hand():
     # 30 * 0.5 + 0.5 * 2 * 0.25 + 31^2 / 12 - 20^2 / 16 = 15 + 0.25 + 80.0833 - 25
     gap = rss_gap(np.array([30.0]), np.array([20.0]), 0.5, 2.0, 6.0, 8.0)
     np.testing.assert_allclose(gap, [70.0 + 1 / 3])
-    # Nobody has to keep a distance to one that drives away.
+    # No vehicle has to keep a distance to one that drives away.
     np.testing.assert_array_equal(rss_gap(np.array([5.0]), np.array([40.0]), 0.5, 0.0, 8.0, 8.0), [0.0])
-    # One that reverses counts as standing.
+    # A reversing vehicle counts as standing.
     np.testing.assert_array_equal(
         rss_gap(np.array([20.0]), np.array([-5.0]), 1.0, 0.0, 8.0, 8.0),
         rss_gap(np.array([20.0]), np.array([0.0]), 1.0, 0.0, 8.0, 8.0),
@@ -119,7 +119,7 @@ def test_the_buffer_rule_looks_alongside_in_the_lane_that_is_entered(others, tar
         ([(10, 1, 25)], FASTER, False),
     ],
 )
-def test_the_distance_rule_refuses_lane_changes_near_anybody(others, target, objects):
+def test_the_distance_rule_refuses_lane_changes_near_any_vehicle(others, target, objects):
     assert DistanceRule(15.0).objects(scene_of(*others), target) is objects
 
 
@@ -143,7 +143,7 @@ def test_the_distance_rule_refuses_lane_changes_near_anybody(others, target, obj
         ([(0, 2, 25)], LEFT, False),
     ],
 )
-def test_the_rss_rule_asks_for_the_gaps_of_rss(others, target, objects):
+def test_the_rss_rule_requires_the_gaps_of_rss(others, target, objects):
     assert RssRule(ShieldConfig(braking=8.0)).objects(scene_of(*others), target) is objects
 
 
@@ -227,7 +227,7 @@ def test_a_rule_alone_overrides_with_slower_and_says_so(mode):
 
 
 @pytest.mark.parametrize("mode", ["distance", "rss", "ttc"])
-def test_both_doors_agree_where_only_a_rule_decides(mode):
+def test_both_wrappers_agree_with_a_rule_alone(mode):
     def drive(shield):
         inner = gym.make("highway-fast-v0", config={"duration": 12})
         env = ShieldedEnv(inner, ShieldConfig(mode=mode)) if shield == "env" else inner
@@ -263,8 +263,8 @@ class Preferring:
 
 @pytest.mark.parametrize("wrapped", ["env", "policy"])
 @pytest.mark.parametrize("order", [[3, 2, 0, 1, 4], [3, 1, 4, 2, 0], [3, 4, 1, 2, 0]])
-def test_the_ranking_is_walked_down_to_the_first_action_that_the_rule_accepts(order, wrapped):
-    """Whatever is executed, the rule refuses every action that the policy prefers to it, or SLOWER is executed."""
+def test_the_first_action_of_the_ranking_that_the_rule_accepts_is_executed(order, wrapped):
+    """The rule refuses every action that the policy prefers to the executed one, or SLOWER is executed."""
     config = ShieldConfig(mode="ttc-ranking", time_to_collision=4.0)
     env, policy, rule = gym.make("highway-fast-v0"), Preferring(order), make_rule("ttc", config)
     if wrapped == "env":
@@ -293,7 +293,7 @@ def test_the_ranking_is_walked_down_to_the_first_action_that_the_rule_accepts(or
     env.close()
 
 
-def test_without_a_ranking_slower_replaces_what_the_rule_refuses():
+def test_slower_replaces_a_refused_action_without_a_ranking():
     plain = ShieldedEnv(gym.make("highway-fast-v0"), ShieldConfig(mode="ttc"))
     ranked = ShieldedEnv(gym.make("highway-fast-v0"), ShieldConfig(mode="ttc-ranking"))
     for env in (plain, ranked):

@@ -1,4 +1,4 @@
-"""Configurations under which verified decisions are not what the ego does are refused, at every entry point."""
+"""Configurations under which the ego does not execute verified decisions are refused, at every entry point."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -45,8 +45,8 @@ def made(env_id, config):
 
 @pytest.mark.parametrize("entry", ENTRIES)
 @pytest.mark.parametrize(("config", "message"), [(REVERSING, "drives backwards"), (BY_HAND, "manual_control")])
-def test_on_highways_reversing_and_manual_control_are_refused(entry, config, message):
-    """Meta-actions that drive backwards crashed with tier "passed"; with manual control no action reaches the ego."""
+def test_reversing_and_manual_control_are_refused_on_highways(entry, config, message):
+    """Meta-actions that drive backwards crashed with tier "passed"; under manual control no action reaches the ego."""
     with pytest.raises(ConfigError, match=message):
         ENTRIES[entry](made("highway-fast-v0", config))
 
@@ -54,8 +54,8 @@ def test_on_highways_reversing_and_manual_control_are_refused(entry, config, mes
 @pytest.mark.parametrize("entry", ["env", "env, simulated", "policy", "policy, simulated"])
 @pytest.mark.parametrize("env_id", ROADS)
 @pytest.mark.parametrize(("config", "message"), [(REVERSING, "drives backwards"), (BY_HAND, "manual_control")])
-def test_on_networks_reversing_and_manual_control_are_refused(entry, env_id, config, message):
-    """The same where traffic is simulated on networks, and for the worst case there."""
+def test_reversing_and_manual_control_are_refused_on_networks(entry, env_id, config, message):
+    """The same with simulated traffic on networks, and in the worst case there."""
     with pytest.raises(ConfigError, match=message):
         ENTRIES[entry](made(env_id, config))
 
@@ -147,16 +147,17 @@ class Inverted(gym.Wrapper):
 
 
 @pytest.mark.parametrize("settings", [None, ShieldConfig.simulated_traffic()])
-def test_a_wrapper_that_repeats_actions_is_found_out(settings):
-    """The second of two equal actions is another decision, which nobody has verified."""
+def test_a_wrapper_that_repeats_actions_is_detected(settings):
+    """The second of two equal actions is another decision, which was not verified."""
     env = ShieldedEnv(Repeated(gym.make("highway-fast-v0")), settings)
     env.reset(seed=0)
     with pytest.raises(ConfigError, match="10 frames in one step, and a decision has 5"):
         env.step(1)
 
 
-def test_a_wrapper_that_changes_throttle_and_steering_is_found_out():
-    """`ActionWrapper`s are refused at construction; any other wrapper is found by what the environment was given."""
+def test_a_wrapper_that_changes_throttle_and_steering_is_detected():
+    """`ActionWrapper`s are refused at construction; any other wrapper is detected by the action that the environment
+    got."""
     env = ShieldedEnv(Inverted(gym.make("highway-fast-v0", config=INPUTS)))
     env.reset(seed=0)
     with pytest.raises(ConfigError, match="a wrapper inside changes it"):
@@ -164,8 +165,8 @@ def test_a_wrapper_that_changes_throttle_and_steering_is_found_out():
 
 
 @pytest.mark.parametrize("settings", [None, ShieldConfig.simulated_traffic()])
-def test_steps_without_the_shield_are_found_out(settings):
-    """`Shield` is asked once, and its action taken twice: the second is not verified."""
+def test_steps_without_the_shield_are_detected(settings):
+    """`Shield` decides once, and its action is executed twice: the second step is not verified."""
     env = gym.make("highway-fast-v0")
     obs, _ = env.reset(seed=0)
     shielded = Shield(Always(1), env=env, config=settings)
@@ -189,7 +190,7 @@ def fail():
     ],
 )
 @pytest.mark.parametrize("speed", [20.0, 1.0, 0.0, -5.0])
-def test_where_the_scene_cannot_be_read_the_ego_comes_to_a_standstill(env_id, config, reads, speed, monkeypatch):
+def test_an_unreadable_scene_brings_the_ego_to_a_standstill(env_id, config, reads, speed, monkeypatch):
     """The fallback never drives backwards, and an ego that drives backwards is braked."""
     action = {**META, "target_speeds": [0, 10, 20]}
     env = ShieldedEnv(made(env_id, {"action": action, "duration": 40, **config}), ShieldConfig(patience=100))
@@ -252,8 +253,8 @@ def test_batches_and_known_environments_refuse_few_frames(build):
         build({"simulation_frequency": 2})
 
 
-def test_an_episode_with_offences_is_not_labelled_as_one_without():
-    """Nothing was promised of it as a whole, whatever each plan was verified against."""
+def test_an_episode_with_violations_has_another_guarantee_than_one_without():
+    """With a violation the episode as a whole has no full guarantee, whatever each plan was verified against."""
     env = ShieldedEnv(made("highway-fast-v0", {"duration": 3}))
     env.reset(seed=0)
     over, labels = False, set()

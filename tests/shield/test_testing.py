@@ -1,4 +1,4 @@
-"""The conformance tests pass what is right and name what is wrong."""
+"""The conformance tests accept a correct implementation and name each flaw."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""What replaces a proposal is as near to it as anything that verifies, up to two percent of the actuators' ranges."""
+"""The replacement of a proposal is as near to it as any verified input, up to two percent of the actuators' ranges."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def distance(inputs: np.ndarray, proposal: np.ndarray) -> np.ndarray:
 
 
 def verified(core: ContinuousCore, scene: Scene, inputs: np.ndarray) -> np.ndarray:
-    """Which of the inputs (n, 2) verify, each in whichever lane it can stop in."""
+    """Mask of the inputs (n, 2) that verify, each in any lane in which it can stop."""
     lanes = core.inputs.stop_lanes(core.look(scene))
     chunks = [inputs[i : i + CHUNK] for i in range(0, len(inputs), CHUNK)]
     return np.concatenate([core.judge(scene, chunk, lanes).margin >= 0 for chunk in chunks])
@@ -69,7 +69,7 @@ def test_hardly_any_verified_input_is_nearer_by_more_than_two_percent(predictive
 
 @pytest.mark.slow
 @pytest.mark.parametrize("predictive", [False, True])
-def test_over_many_scenes_too(predictive: bool) -> None:
+def test_hardly_any_verified_input_is_nearer_in_many_scenes(predictive: bool) -> None:
     replaced, share = share_beyond(600, predictive)
     assert replaced >= 300
     assert share <= 0.01
@@ -77,7 +77,7 @@ def test_over_many_scenes_too(predictive: bool) -> None:
 
 @settings(deadline=None, max_examples=40, suppress_health_check=list(HealthCheck))
 @given(st.integers(0, 2**32 - 1), st.sampled_from(STYLES), st.sampled_from(Adversary.moods))
-def test_what_replaces_a_proposal_verifies_itself(seed: int, style: str, mood: str) -> None:
+def test_the_replacement_of_a_proposal_verifies(seed: int, style: str, mood: str) -> None:
     rng = np.random.default_rng(seed)
     world = random_continuous_world(rng)
     proposal = propose(rng, style, world, 0)

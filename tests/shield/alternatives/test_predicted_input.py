@@ -1,4 +1,4 @@
-"""A shield whose predictive filter plans on another model: whatever that says, the bicycle verifies."""
+"""A shield whose predictive filter plans on another model: the bicycle verifies every plan."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ SCENES = must_repair()
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_what_comes_of_a_model_is_verified_on_the_bicycle(name, monkeypatch):
-    """The search is made to find nothing, so that the plan is asked; what leaves has passed, or is a fall-back."""
+def test_a_plan_of_another_model_is_verified_on_the_bicycle(name, monkeypatch):
+    """The search is patched to find nothing, so that the plan is needed. The result has passed, or is a fallback."""
     asked, used = [], 0
     core = ContinuousCore(model=MODELS[name])
     predictor = core.inputs.predictor

@@ -60,12 +60,12 @@ def test_an_object_without_scores_has_no_ranking(env):
     ("room", "doubt", "blurred", "first"),
     [
         ((90.0, 60.0, 50.0), 0.0, False, "LANE_LEFT"),  # more room on the left
-        ((90.0, 60.0, 50.0), 2.0, True, "LANE_LEFT"),  # and nobody doubts it
-        ((90.0, 60.0, 50.0), 40.0, True, "LANE_RIGHT"),  # who cannot tell keeps right
+        ((90.0, 60.0, 50.0), 2.0, True, "LANE_LEFT"),  # and the bounds leave no doubt
+        ((90.0, 60.0, 50.0), 40.0, True, "LANE_RIGHT"),  # with unclear gains the order keeps right
         ((90.0, 60.0, 10.0), 40.0, True, "FASTER"),  # but not where there is less of it for certain
     ],
 )
-def test_who_cannot_tell_which_lane_is_better_keeps_right(env, room, doubt, blurred, first):
+def test_the_default_order_keeps_right_if_neither_lane_is_clearly_better(env, room, doubt, blurred, first):
     env.reset(seed=0)
     scene = Scene.from_env(env)
     x, y = scene.road.to_world(np.array([100.0, scene.road.centers[1], 0.0, 25.0]))[:2]
@@ -100,7 +100,7 @@ def test_an_override_is_the_first_in_order_that_verifies(scores):
     env.close()
 
 
-def test_the_order_reaches_the_other_door_too():
+def test_the_order_of_a_policy_reaches_shielded_env():
     executed = {}
     for name, scores in {"left": [4, 0, 1, 0, 2], "slower": [0, 1, 0, 0, 4]}.items():
         env = ShieldedEnv(make(duration=20), policy=Ranked(3, scores))

@@ -1,5 +1,4 @@
-"""The shield decides in the compiled highway as it does in highway-env: the same actions, margins and records, to the
-bit."""
+"""The shield decides in the compiled highway as in highway-env: the same actions, margins and records, to the bit."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -78,9 +77,9 @@ def test_every_step_is_the_same(env_id, config, choose, settings):
     assert overridden > 0
 
 
-def test_inputs_that_are_held_for_frames_pass_as_they_were_asked_for():
+def test_inputs_held_for_several_frames_pass_unchanged_on_an_empty_road():
     """Each frame of a decision is judged with the throttle that the ego keeps, limited above highway-env's greatest
-    speed: a stretch that nothing is in passes, and no stage fails."""
+    speed. An empty road passes, and no stage fails."""
     theirs, mine = (ShieldedEnv(make("highway-fast-v0", config=ALONE_FAST)) for make in (gym.make, CompiledHighwayEnv))
     for env in (theirs, mine):
         env.reset(seed=0)
@@ -96,7 +95,7 @@ def test_inputs_that_are_held_for_frames_pass_as_they_were_asked_for():
     assert passed > 5
 
 
-def test_bare_it_is_highway_env():
+def test_the_unshielded_compiled_highway_equals_highway_env():
     theirs, mine = gym.make("highway-fast-v0"), CompiledHighwayEnv("highway-fast-v0")
     assert mine.observation_space == theirs.observation_space
     assert mine.action_space == theirs.action_space

@@ -1,4 +1,4 @@
-"""Many shields at once decide as one does: every action, margin, clause and record, to the bit."""
+"""A batch of shields decides as single ones do: every action, margin, clause and record, to the bit."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ TRAFFIC = "highway_env.vehicle.behavior."
 AGGRESSIVE = {"vehicles_count": 25, "duration": 12, "other_vehicles_type": TRAFFIC + "AggressiveVehicle"}
 LINEAR = {"lanes_count": 2, "vehicles_count": 8, "other_vehicles_type": TRAFFIC + "LinearVehicle"}
 SPEEDS = {"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 5, 10, 15, 20, 25, 30]}}
-# Those who break these rules are in the way: what plays the stored plan on, evades, or gives up is tried as well.
+# Vehicles that violate these rules are in the way, so the stored plan, evasion and the largest margin are tried as
+# well.
 WEAK = Assumptions(braking=2.0, calm_braking=1.0, slip_in=False, turning_action=1.0)
 WEAKER = Assumptions(
     braking=1.0, calm_braking=0.3, acceleration=0.5, blind_merge=False, slip_in=False, reversing_speed=0.0
@@ -139,20 +140,20 @@ def test_every_decision_is_the_same(env_id, config, settings, choose, seeds):
         (WEAKER, 5.0, 4, {"emergency", "largest_margin"}),
     ],
 )
-def test_they_are_the_same_where_the_others_break_the_rules(weak, density, seeds, tiers):
+def test_decisions_are_the_same_with_violations(weak, density, seeds, tiers):
     config = {"vehicles_density": density, "duration": 20}
     met = drive("highway-fast-v0", config, ShieldConfig(assumptions=weak), weaving, range(seeds))
     assert tiers <= met
 
 
-def test_they_follow_the_order_of_a_policy():
+def test_decisions_of_a_batch_follow_the_order_of_a_policy():
     met = drive("highway-fast-v0", {}, ShieldConfig(), anything, range(4), ranked=True)
     assert "alternative" in met
 
 
 @settings(deadline=None, max_examples=8)
 @given(seed=st.integers(0, 9_999), data=st.data())
-def test_they_are_the_same_for_any_settings(seed, data):
+def test_decisions_are_the_same_for_any_settings(seed, data):
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
     least = {"visible_distance": 1.0, "braking": 2.0, "follower_braking": 2.0, "max_speed": 10.0}
     drawn = {}
@@ -173,8 +174,8 @@ def test_they_are_the_same_for_any_settings(seed, data):
     drive("highway-fast-v0", config, shield, anything, [seed])
 
 
-def test_environments_do_not_know_of_one_another():
-    """Side by side, on threads, and with new episodes in between: the same as each alone."""
+def test_environments_of_a_batch_are_independent():
+    """In one batch, on threads, and with new episodes in between: the same as each alone."""
     config, steps, e = {"duration": 9}, 24, 5
     actions = np.random.default_rng(0).integers(5, size=(steps, e))
     together = ShieldedHighways("highway-fast-v0", e, config, threads=3)
@@ -191,7 +192,7 @@ def test_environments_do_not_know_of_one_another():
                 assert np.array_equal(a[i], b[0], equal_nan=a.dtype.kind == "f")
 
 
-def test_what_is_no_action_is_replaced():
+def test_an_invalid_action_in_a_batch_is_replaced():
     one, many = ShieldedEnv(CompiledHighwayEnv("highway-fast-v0")), ShieldedHighways("highway-fast-v0", 1)
     one.reset(seed=3)
     many.reset([3])
@@ -229,13 +230,13 @@ def test_a_scene_that_is_not_finite_is_not_judged():
         ({"action": {"type": "ContinuousAction"}}, ShieldConfig(), "ContinuousAction"),
     ],
 )
-def test_what_is_not_compiled_is_refused(config, shield, named):
+def test_a_batch_refuses_settings_that_are_not_compiled(config, shield, named):
     with pytest.raises(ConfigError, match=named):
         ShieldedHighways("highway-fast-v0", 1, config, shield)
 
 
 @pytest.mark.parametrize("actions", [[3], [3.0, 1.0], [[3, 1]]])
-def test_there_is_an_action_for_each(actions):
+def test_a_batch_needs_one_action_for_each_environment(actions):
     highways = ShieldedHighways("highway-fast-v0", 2)
     with pytest.raises(ConfigError, match="each of 2"):
         highways.step(actions)

@@ -1,4 +1,4 @@
-"""Look-ahead behind the shield: what it expects is what the shielded environment then does."""
+"""Look-ahead behind the shield: the predicted reward is that of the shielded environment."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from shield.batch.lookahead import ShieldedLookaheadPolicy
 SHORT = {"duration": 6}
 
 
-def test_in_the_first_decision_it_expects_what_comes():
-    """Later its memory of the others is shorter than that of the shield which acts."""
+def test_the_score_of_a_first_action_is_its_reward():
+    """In later decisions the look-ahead has a shorter memory of the other vehicles than the shield that acts."""
     for seed in range(3):
         env = CompiledHighwayEnv("highway-fast-v0", SHORT)
         policy, shielded = ShieldedLookaheadPolicy(env, depth=1, beam=1), ShieldedEnv(env)
@@ -27,7 +27,7 @@ def test_in_the_first_decision_it_expects_what_comes():
             assert scores[action] == reward - 100.0 * terminated
 
 
-def test_looking_does_not_move_anything():
+def test_scoring_does_not_change_the_simulator():
     env = CompiledHighwayEnv("highway-fast-v0", SHORT)
     policy = ShieldedLookaheadPolicy(env, depth=3, beam=4)
     env.reset(seed=1)
@@ -37,7 +37,7 @@ def test_looking_does_not_move_anything():
     assert np.array_equal(first, policy.action_scores(None))
 
 
-def test_it_is_worth_more_than_going_fast():
+def test_shielded_lookahead_earns_more_than_always_faster():
     setting, config = Setting("some", "highway-fast-v0", {"duration": 15}), Variant("env")
     found = {
         name: run_paired(setting, name, [config], range(4), simulator="compiled")
@@ -47,7 +47,7 @@ def test_it_is_worth_more_than_going_fast():
     assert found["lookahead-shielded"]["return"].mean() > found["faster"]["return"].mean()
 
 
-def test_it_looks_from_highway_env_too():
+def test_shielded_lookahead_gives_the_same_returns_in_highway_env():
     setting = Setting("some", "highway-fast-v0", {"duration": 3})
     rows = [
         run_paired(setting, "lookahead-shielded", [Variant("env")], [2], simulator=s)

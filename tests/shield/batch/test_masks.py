@@ -1,4 +1,4 @@
-"""Masks of many shields at once are those of `ShieldedEnv` around each, and no decision is another for them."""
+"""Masks of a batch of shields equal those of `ShieldedEnv` around each environment, and change no decision."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ EXACT = ShieldConfig.simulated_traffic()
 
 
 def drive(env_id, config, shield, seeds):
-    """Both, step by step, each asked for its masks; the masks that were met."""
+    """Drive the batch and single environments step by step and compare their masks; returns the masks."""
     one, many, met = ShieldedEnv(CompiledHighwayEnv(env_id, config), shield), batch_for(env_id, shield), []
     many = many(env_id, 1, config, shield)
     for seed in seeds:
@@ -48,7 +48,7 @@ def remembered(highways):
 
 @settings(deadline=None, max_examples=10)
 @given(seed=st.integers(0, 9_999), data=st.data())
-def test_they_are_those_of_one_environment_for_any_settings(seed, data):
+def test_masks_of_a_batch_are_those_of_single_environments_for_any_settings(seed, data):
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
     least = {"visible_distance": 1.0, "braking": 2.0, "follower_braking": 2.0, "max_speed": 10.0}
     drawn = {
@@ -74,8 +74,9 @@ def test_they_are_those_of_one_environment_for_any_settings(seed, data):
     asked=st.lists(st.integers(0, 3), min_size=8, max_size=8),
     shield=st.sampled_from([ShieldConfig(), ShieldConfig(assumptions=WEAK), EXACT, ShieldConfig(mode="none")]),
 )
-def test_no_decision_is_another_for_being_asked(seed, asked, shield):
-    """However often, and what is no action among them: records, memory and traffic are the same to the bit."""
+def test_masks_change_no_record_memory_or_traffic(seed, asked, shield):
+    """Any number of requests, with invalid actions among the steps: records, memory and traffic are the same to the
+    bit."""
     kind, config = batch_for("highway-fast-v0", shield), {"duration": 5, "vehicles_density": 1.5}
     silent, open_ = (kind("highway-fast-v0", 2, config, shield) for _ in range(2))
     rng = np.random.default_rng(seed)
@@ -96,29 +97,29 @@ def test_no_decision_is_another_for_being_asked(seed, asked, shield):
 
 
 @pytest.mark.parametrize("name", PROFILES)
-def test_each_profile_has_them(name):
+def test_masks_exist_for_each_profile(name):
     met = drive("highway-fast-v0", {"duration": 12}, ShieldConfig.profile(name), range(2))
     assert 0 < met.mean() < 1
 
 
-def test_where_the_others_break_the_rules():
+def test_masks_are_the_same_with_violations():
     met = drive("highway-fast-v0", {"vehicles_density": 1.5, "duration": 15}, ShieldConfig(assumptions=WEAK), range(3))
     assert met.all(axis=1).any()
     assert not met.all()
 
 
-def test_without_a_shield():
+def test_masks_without_a_shield_allow_every_action():
     drive("highway-fast-v0", {"duration": 8}, ShieldConfig(mode="none"), [5])
 
 
 @pytest.mark.parametrize("seed", [614, 920])
-def test_where_nothing_keeps_the_buffer_for_a_time(seed):
+def test_masks_are_the_same_while_no_plan_keeps_the_buffer(seed):
     config = {"vehicles_density": 2.0, "duration": 15}
     drive("highway-fast-v0", config, EXACT, [seed])
 
 
 @pytest.mark.parametrize("shield", [ShieldConfig(), EXACT], ids=["certificate", "exact"])
-def test_environments_do_not_know_of_one_another(shield):
+def test_masks_of_a_batch_are_independent(shield):
     kind, config, e = batch_for("highway-fast-v0", shield), {"duration": 8}, 5
     together = kind("highway-fast-v0", e, config, shield, threads=3)
     together.reset(range(20, 20 + e))
@@ -146,7 +147,7 @@ def test_a_scene_that_is_not_finite_has_no_mask():
     assert np.array_equal(after[1], before[1])
 
 
-def test_road_networks_have_them():
+def test_masks_exist_on_road_networks():
     roads, rng = ExactRoads("merge-v0", 2), np.random.default_rng(0)
     one = ShieldedEnv(roads.one(), EXACT)
     one.reset(seed=8)

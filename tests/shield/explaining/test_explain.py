@@ -1,4 +1,4 @@
-"""`decision.explain()`: every override names what it was for, in words and as data, and asking changes nothing."""
+"""`decision.explain()`: every override has a reason, in words and as data, and an explanation changes no decision."""
 
 import copy
 import math
@@ -53,7 +53,7 @@ def actions_of(env, seed):
 
 
 def records(name, door, seed, ask=True):
-    """Of each step of an episode the record, and its explanation where it is asked for."""
+    """For each step of an episode the record, and its explanation if requested."""
     env_id, settings, config, perception = CELLS[name]
     bare = gym.make(env_id, config=settings)
     plan = actions_of(bare, seed)
@@ -87,7 +87,7 @@ def records(name, door, seed, ask=True):
     ],
 )
 def test_every_override_names_its_vehicle_and_a_number(name, door):
-    """Nothing said what a refused proposal was refused for: `clause` and `vehicle` are of what was executed instead."""
+    """A refusal had no explanation once: `clause` and `vehicle` are those of the executed action."""
     told = 0
     for seed in range(912_100, 912_102):
         for record, why, base in records(name, door, seed):
@@ -124,8 +124,8 @@ def test_every_override_names_its_vehicle_and_a_number(name, door):
 @pytest.mark.parametrize(
     "name", ["highway", "highway, inputs", "highway, simulated", "highway, simulated inputs", "roundabout", "parking"]
 )
-def test_asking_changes_no_decision(name, door):
-    """The explanation works in room of its own: what is decided next is what is decided without it."""
+def test_an_explanation_changes_no_decision(name, door):
+    """The explanation has its own buffers: the next decision is the same as without it."""
 
     def driven(ask):
         return [
@@ -156,8 +156,8 @@ def test_each_of_several_egos_is_explained():
 
 
 def test_the_numbers_are_those_of_the_certificate():
-    """The proposal, judged again in the scene that the decision was made from, is short by what is told, at the time
-    that is told, and of the vehicle that is told."""
+    """The proposal, judged again in the scene of the decision, falls short by the explained margin, at the explained
+    time, because of the explained vehicle."""
     compared = 0
     for seed in range(912_300, 912_304):
         for record, why, _ in records("highway", "env", seed):
@@ -181,7 +181,7 @@ def test_the_numbers_are_those_of_the_certificate():
     assert compared > 10
 
 
-def test_what_is_no_action_and_what_cannot_be_seen_is_explained_in_words():
+def test_an_invalid_action_and_an_unreadable_scene_are_explained_in_words():
     env = ShieldedEnv(make())
     env.reset(seed=0)
     env.step(17)
@@ -194,8 +194,8 @@ def test_what_is_no_action_and_what_cannot_be_seen_is_explained_in_words():
     assert "the policy raised or returned NaN" in shield.last_decision.explain().text
 
 
-def test_what_was_kept_stays_in_its_process():
-    """A pickled or copied environment goes on as before, and says why there is nothing to tell."""
+def test_the_data_of_an_explanation_are_not_pickled():
+    """A pickled or copied environment continues as before, and an error says why no explanation exists."""
     env = ShieldedEnv(make())
     env.reset(seed=3)
     while not env.last_decision or not env.last_decision.overridden:
@@ -213,7 +213,7 @@ def test_what_was_kept_stays_in_its_process():
     [(1790, Lost.PRECAUTION), (2840, Lost.PRECAUTION)],
 )
 def test_a_fallback_says_that_a_precaution_was_lost(seed, lost):
-    """Nothing verifies because of a cut-in that nobody made, with margins of -2.0 m."""
+    """No plan verifies because of a possible cut-in that does not happen, with margins of -2.0 m."""
     found = []
 
     def after(time, record):

@@ -23,7 +23,7 @@ def make(env_id="highway-fast-v0", **action):
 
 
 @pytest.mark.parametrize("options", [{}, {"actions_per_axis": 5}, {"lateral": False}, {"longitudinal": False}])
-def test_each_number_is_what_highway_env_makes_of_it(options):
+def test_each_number_means_the_inputs_that_highway_env_applies(options):
     env = make(**options)
     env.reset(seed=0)
     base = env.unwrapped
@@ -36,7 +36,7 @@ def test_each_number_is_what_highway_env_makes_of_it(options):
         assert actuators.read(wrong) is None
 
 
-def test_a_grid_says_itself_what_its_numbers_are():
+def test_the_inputs_of_a_grid_are_read_from_the_environment():
     env = gym.make(COMPLEX)
     env.reset(seed=0)
     base = env.unwrapped
@@ -60,7 +60,7 @@ def test_the_nearest_number_is_nearest(acceleration, wheel, count):
 @pytest.mark.parametrize("config", [ShieldConfig(), EXACT], ids=["certificate", "exact"])
 @pytest.mark.parametrize("door", ["env", "policy"])
 def test_full_throttle_does_not_crash(config, door):
-    """What is executed is a number again; between the numbers, the frames get what was verified."""
+    """The executed action is a number again; between decisions, the frames get the verified inputs."""
     env, action = make(policy_frequency=5), 7
     if door == "env":
         env = ShieldedEnv(env, config)
@@ -91,8 +91,8 @@ def test_dqn_learns_inside_the_shield():
     assert not env.unwrapped.vehicle.crashed
 
 
-def test_a_course_is_driven_as_foretold():
-    """The ego included: nothing that asks where it will be moves it."""
+def test_a_drive_on_complex_roads_matches_its_prediction():
+    """Including the ego: predicting its motion does not move it."""
     env = ShieldedEnv(gym.make(COMPLEX, config={"random_start": True}), EXACT)
     for seed in (20, 21):
         env.reset(seed=seed)

@@ -38,7 +38,7 @@ def shielded(env_id, seed=0, wild=0, config="worst-case", drivers="wild"):
 
 
 def frames(env, action=None):
-    """Drives an episode, and yields before each frame that is decided the true clearance [m] and the door."""
+    """Drive an episode; before each decided frame yield the true clearance [m] and the filter."""
     seen, door, base = [], env._door, env.unwrapped
     ask = door.frame
 
@@ -61,9 +61,9 @@ def frames(env, action=None):
     ("seed", "drivers"),
     [(0, "wild"), *later((1, "wild")), (2, "bold"), (3, "mixed")],
 )
-def test_any_behaviour_is_flagged_or_leaves_the_plan_clear(env_id, seed, drivers):
-    """What was verified a frame before stays clear of whoever has broken no rule, whatever the others do: nothing is
-    unforeseen, and the ego is hit only where somebody has broken one."""
+def test_any_behaviour_is_a_violation_or_leaves_the_plan_clear(env_id, seed, drivers):
+    """A plan verified a frame before stays clear of every vehicle without a violation. No prediction mismatch
+    occurs, and the ego is hit only after a violation."""
     env = shielded(env_id, seed, wild=6, drivers=drivers)
     seen = frames(env)
     watch = env._door.watch
@@ -77,8 +77,9 @@ def test_any_behaviour_is_flagged_or_leaves_the_plan_clear(env_id, seed, drivers
 @pytest.mark.parametrize("env_id", ["roundabout-v1", "merge-v1", "intersection-v2"])
 @pytest.mark.parametrize("drivers", ["wild", "bold"])
 @pytest.mark.parametrize("seed", [0, *later(1, 2)])
-def test_so_it_is_where_right_of_way_is_counted_on(env_id, drivers, seed):
-    """Who breaks it is named; who waits as late as may be does not come into the way."""
+def test_any_behaviour_is_a_violation_or_harmless_with_right_of_way(env_id, drivers, seed):
+    """A vehicle that breaks the right of way is named; one that waits as late as permitted does not come into the
+    way."""
     env = shielded(env_id, seed, 8, ShieldConfig.for_roads(6.0, env_id != "merge-v1", True), drivers)
     frames(env)
     by_rule = env.door.by_rule
@@ -88,8 +89,8 @@ def test_so_it_is_where_right_of_way_is_counted_on(env_id, drivers, seed):
 
 
 @pytest.mark.parametrize("waits", [True, False])
-def test_who_has_to_wait_and_does_not_is_named(waits):
-    """The ego goes round the ring; one comes up to it, and brakes when it must, or never."""
+def test_a_vehicle_that_has_to_wait_and_does_not_is_a_violator(waits):
+    """The ego drives round the ring; a vehicle approaches, and brakes when it must, or never."""
     env = ShieldedEnv(gym.make("roundabout-v1"), ShieldConfig.for_roads(gives_way=True))
     env.reset(seed=0)
     base = env.unwrapped
@@ -119,7 +120,7 @@ class Comes(Vehicle):
 
 @pytest.mark.parametrize("env_id", ROADS)
 @pytest.mark.parametrize("seed", [0, *later(1, 2)])
-def test_it_is_hit_and_off_the_road_only_where_somebody_has_broken_a_rule(env_id, seed):
+def test_the_ego_is_hit_or_off_the_road_only_after_a_violation(env_id, seed):
     env = shielded(env_id, seed)
     frames(env)
     ego = env.unwrapped.vehicle
@@ -127,8 +128,8 @@ def test_it_is_hit_and_off_the_road_only_where_somebody_has_broken_a_rule(env_id
 
 
 @pytest.mark.parametrize("env_id", ROADS)
-def test_the_ego_does_what_was_verified(env_id):
-    """The path that was judged is the one that is driven, to the bit: alone in its road, whoever else is there."""
+def test_the_driven_path_is_the_verified_path(env_id):
+    """To the bit, whatever other vehicles are there."""
     env = shielded(env_id, 1)
     door, ego, expected, ask = env._door, env.unwrapped.vehicle, [], env._door.frame
 
@@ -159,20 +160,20 @@ def test_the_ego_drives():
 
 
 @pytest.mark.parametrize("action", [3, None])
-def test_it_does_not_stand_for_good(action):
-    """merge-v1 has no time limit: it ends where the road does."""
+def test_the_ego_reaches_the_end_of_the_road(action):
+    """merge-v1 has no time limit: it ends with the road."""
     for seed in (6002, 6012):
         env = shielded("merge-v1", seed)
         ended = (any(env.step(env.action_space.sample() if action is None else action)[2:4]) for _ in range(60))
         assert any(ended)
 
 
-def test_what_is_taken_instead_is_verified_too():
+def test_a_replacement_on_a_network_is_verified():
     tiers = {decision.tier for seed in range(3) for _, decision, _ in frames(shielded("roundabout-v1", seed), 3)}
     assert {Tier.PASSED, Tier.GOVERNED} <= tiers
 
 
-def test_both_doors_decide_alike():
+def test_both_wrappers_decide_alike_on_a_network():
     """`Shield` filters the frames as `ShieldedEnv` does."""
     driven = []
     for door in ("env", "policy"):
@@ -197,15 +198,16 @@ def test_both_doors_decide_alike():
         ("roundabout-v1", 241, "bold"),
     ],
 )
-def test_holes_that_attacks_have_found_are_closed(env_id, seed, drivers):
+def test_loopholes_found_by_attacks_are_closed(env_id, seed, drivers):
     found = attack(Setting(env_id, env_id), seed, drivers)
     assert not found.unforeseen
     assert found.frames > 0
 
 
 @pytest.mark.parametrize("env_id", ["roundabout-v0", "intersection-v0", "merge-v0"])
-def test_who_is_about_to_be_pushed_is_judged_as_it_has_driven(env_id):
-    """highway-env pushes it in the coming frame: what the others have done by then is no worse for that."""
+def test_a_coming_push_by_highway_env_does_not_change_the_judgement(env_id):
+    """highway-env pushes the ego in the coming frame; the judgement of the other vehicles' past motion stays the
+    same."""
     kept = []
     for impact in (None, np.array([0.4, -0.5])):
         env = ShieldedEnv(gym.make(env_id), "worst-case")
@@ -219,8 +221,8 @@ def test_who_is_about_to_be_pushed_is_judged_as_it_has_driven(env_id):
     assert np.isfinite(kept[0]).any()
 
 
-def test_nothing_is_promised_before_anything_verifies():
-    """Too near to somebody at the reset, at more than twice his speed, where there is one lane."""
+def test_no_guarantee_is_given_before_a_plan_verifies():
+    """Too near to a vehicle at the reset, at more than twice its speed, on a single lane."""
     entry = ("ser", "ses", 0)
     env = placed("roundabout-v1", "worst case", Body(entry, 80.0, 20.0, "nxs"), [Body(entry, 90.0, 8.0, "nxs")])
     blameless, done = watch_for_a_crash(env.unwrapped, env.door), False
@@ -232,14 +234,14 @@ def test_nothing_is_promised_before_anything_verifies():
     assert blameless == [False]
 
 
-def test_an_attack_asks_for_what_it_can_drive():
+def test_an_attack_refuses_settings_that_it_cannot_drive():
     with pytest.raises(ConfigError, match="have wild, bold, mixed"):
         attack(Setting("merge", "merge-v1"), 0, "tame")
     with pytest.raises(ConfigError, match="no road network with meta-actions"):
         attack(Setting("highway", "highway-fast-v0"), 0, "wild")
 
 
-def test_the_command_says_what_came_of_it():
+def test_the_attack_command_prints_a_row_for_its_setting():
     result = CliRunner().invoke(app, ["attack", "--setting", "merge", "--episodes", "1", "--jobs", "1"])
     assert result.exit_code == 0, result.output
     assert "merge" in result.output
@@ -274,7 +276,7 @@ def test_an_action_that_is_none_is_replaced():
     assert info["shield"]["reason"] == Reason.BAD_ACTION
 
 
-def test_masks_are_what_passes():
+def test_masks_on_a_network_hold_the_actions_that_pass():
     env = shielded("roundabout-v1", 2)
     for _ in range(4):
         mask = env.action_masks()

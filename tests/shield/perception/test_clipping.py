@@ -1,4 +1,4 @@
-"""Observations whose clipping hides what a scene is made of are refused; beyond a range of x nobody is seen."""
+"""Observations whose clipping hides part of a scene are refused; beyond the range of x no vehicle is seen."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -69,8 +69,8 @@ def test_a_reset_to_such_ranges_is_refused_too():
 
 
 @pytest.mark.parametrize("reach", [50.0, 100.0])
-def test_a_range_of_x_shorter_than_sight_is_driven_with(reach):
-    """Somebody beyond the range was taken to be 5 m away, and the ego stopped: whoever is there is out of sight."""
+def test_a_range_of_x_shorter_than_sight_is_supported(reach):
+    """A vehicle beyond the range was once assumed 5 m away, and the ego stopped. Such a vehicle is out of sight."""
     env = ShieldedEnv(made(ROWS, x=[-reach, reach]), perception="observation")
     speeds = []
     for seed in range(2):
@@ -85,8 +85,8 @@ def test_a_range_of_x_shorter_than_sight_is_driven_with(reach):
     assert np.mean(speeds) > 24.0
 
 
-def test_who_is_beyond_a_short_range_of_x_is_out_of_sight_and_who_is_too_fast_is_not():
-    """Sight ends at the range; a row whose speed is at the edge of its own range may be anywhere."""
+def test_a_vehicle_beyond_the_range_of_x_is_out_of_sight_and_one_too_fast_is_not():
+    """Sight ends at the range; a row whose speed is at the limit of its own range may be anywhere."""
     spec = ObservationSpec(
         see_behind=True, ranges={name: tuple(ends) for name, ends in {**WIDE, "x": [-50, 100]}.items()}
     )

@@ -1,4 +1,4 @@
-"""A shield with nothing but what reaches `predict`: what it has to know is asked for once, and no state is read."""
+"""A shield with the arguments of `predict` alone: it queries its prior map once, and reads no simulator state."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from shield.decision import Reason, Tier
 @given(actions=st.lists(st.integers(0, 4), min_size=3, max_size=8), seed=st.integers(0, 3_000))
 @settings(max_examples=3, deadline=None, phases=[Phase.generate])
 def test_observations_alone_decide_as_with_the_environment(actions, seed):
-    """What the ego has been told, and the clock, are the environment's own, decision after decision; and that is what
-    is decided with the simulator's state, where everybody is observed."""
+    """The target command and the clock equal the environment's in every decision. With every vehicle observed,
+    decisions equal those from the simulator's state."""
     env = make()
     one = driven(Shield(Actions(actions), env=env, **FRAMELESS), env, seed, 12)
     assert driven(Shield(Actions(actions), known=Known.from_config(configured()), **FRAMELESS), env, seed, 12) == one
     state = driven(Shield(Actions(actions), env, "worst-case", frames=False), env, seed, 12)
-    # Who breaks a rule is seen in exact states only, and with that which fallback it is where nothing verifies.
+    # A violation is seen in exact states only, and with it the choice of the fallback.
     for there, seen in zip(state, one, strict=False):
         assert (there[1].fallback, there[4]) == (seen[1].fallback, seen[4])
         if there[1].fallback:
@@ -42,7 +42,7 @@ def test_observations_alone_decide_as_with_the_environment(actions, seed):
     assert len(one) > 1
 
 
-def test_the_order_of_the_rows_is_nothing_to_decide_by():
+def test_the_order_of_the_rows_does_not_change_decisions():
     rng, known = np.random.default_rng(0), Known.from_config(configured({**SEEN, "order": "shuffled"}))
     env = make()
 
@@ -68,8 +68,8 @@ def envs(two=2, wrap=lambda env: env, **config):
 
 @pytest.mark.parametrize("layers", ["stacked, then normalised"])
 @pytest.mark.parametrize("told", [True, False])
-def test_nobody_asks_another_process_for_its_state(layers, told, monkeypatch):
-    """One set-up by configuration; then the shield decides as it does with the environments, and asks for nothing."""
+def test_the_state_of_another_process_is_not_queried(layers, told, monkeypatch):
+    """After one query for the configuration the shield decides as with local environments, without further queries."""
     wrap = LAYERS[layers]
     local, remote = DummyVecEnv(envs()), SubprocVecEnv(envs(), start_method="fork")
     try:
@@ -112,8 +112,8 @@ def test_a_model_in_other_processes_needs_nothing_else():
 
 
 @pytest.mark.parametrize("layers", LAYERS)
-def test_the_compiled_highway_is_shielded_by_what_it_shows(layers):
-    """Each wrapper undone, in the right order: decisions are those about what was shown before it."""
+def test_the_compiled_highway_is_shielded_from_its_observations(layers):
+    """Each wrapper is undone, in the right order: decisions equal those from the unwrapped observation."""
     found = []
     for wrap in (lambda env: env, LAYERS[layers]):
         env = wrap(FastHighwayVecEnv(2, "highway-fast-v0", {"observation": SEEN, "duration": 4}))
@@ -142,14 +142,14 @@ def test_a_sensor_in_another_process_says_how_noisy_it_is():
         remote.close()
 
 
-def test_an_ego_that_is_not_where_it_was_told_to_go_is_noticed():
-    """Without `episode_start` it begins an episode; with it, somebody else is driving."""
+def test_an_ego_that_did_not_execute_its_action_is_detected():
+    """Without `episode_start` a new episode is assumed; with it, another driver is at the wheel."""
     env, known = make(), Known.from_config(configured())
     obs, _ = env.reset(seed=4)
     unsaid, said = (Shield(Actions([1]), known=known, **FRAMELESS) for _ in range(2))
     unsaid.predict(obs)
     said.predict(obs, episode_start=np.array([True]))
-    for action in (4, 4):  # slower than it was told
+    for action in (4, 4):  # slower than its command
         obs, *_ = env.step(action)
     said.predict(obs, episode_start=np.array([False]))
     assert said.last_decision.reason is Reason.BAD_SCENE
@@ -163,8 +163,8 @@ def test_an_ego_that_is_not_where_it_was_told_to_go_is_noticed():
     assert said.last_decision.reason is not Reason.BAD_SCENE
 
 
-def test_what_the_ego_was_told_is_known_where_nothing_can_be_read():
-    """One observation is lost: the ego goes where it was told all the same, and the next one is read as ever."""
+def test_the_target_command_is_known_after_an_unreadable_observation():
+    """One observation is lost: the ego follows its command all the same, and the next observation is read as usual."""
     env, known = make(), Known.from_config(configured())
     shielded, obs = Shield(Actions([3]), known=known, **FRAMELESS), env.reset(seed=2)[0]
     for k in range(6):
@@ -185,12 +185,12 @@ def test_what_the_ego_was_told_is_known_where_nothing_can_be_read():
         ({"controlled_vehicles": 2}, "one ego, not 2"),
     ],
 )
-def test_what_is_known_says_what_to_change(change, match):
+def test_a_configuration_without_a_prior_map_is_refused_with_the_setting_to_change(change, match):
     with pytest.raises(ConfigError, match=match):
         Known.from_config(configured(**change))
 
 
-def test_what_is_known_is_checked():
+def test_a_prior_map_is_checked():
     known, road = Known.from_config(configured()), StraightRoad.from_lanes(3)
     with pytest.raises(ConfigError, match="lacks lanes_count"):
         Known.from_config({key: value for key, value in configured().items() if key != "lanes_count"})
@@ -208,7 +208,7 @@ def test_what_is_known_is_checked():
         Shield(Actions([1]), env=make(), known=[known, known], **FRAMELESS)
 
 
-def test_what_is_known_is_what_the_environment_has():
+def test_the_prior_map_from_a_configuration_is_that_of_the_environment():
     for name, change in (
         ("highway-v0", {}),
         ("highway-fast-v0", {"action": {"type": "DiscreteMetaAction", "lateral": False}}),
@@ -234,7 +234,7 @@ def test_what_is_known_is_what_the_environment_has():
         ),
     ],
 )
-def test_other_processes_with_what_cannot_be_undone_are_refused(wrap, match):
+def test_wrappers_that_cannot_be_undone_are_refused_in_other_processes(wrap, match):
     remote = SubprocVecEnv(envs(1, wrap), start_method="fork")
     try:
         with pytest.raises(ConfigError, match=match):

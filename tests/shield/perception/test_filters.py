@@ -1,4 +1,4 @@
-"""The compiled filters do what the formulas say."""
+"""The compiled filters equal the formulas."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def agree(one, other):
 
 @st.composite
 def followed(draw):
-    """A few vehicles, what is seen, and its noise; the numbers by a seed, in the sizes that there are."""
+    """A few vehicles, their observation and its noise. A seed draws the numbers, in realistic sizes."""
     rng = np.random.default_rng(draw(st.integers(0, 10**6)))
     n, m, sigma = draw(st.integers(0, 6)), draw(st.integers(0, 6)), draw(st.sampled_from([0.03, 0.5, 2.0, 40.0]))
     chances = rng.dirichlet(np.ones(3), n).reshape(n, 3) + 1e-12
@@ -71,8 +71,8 @@ def test_the_compiled_filters_are_the_formulas(case, dt, lanes):
 
 @given(followed())
 @settings(max_examples=30, deadline=None)
-def test_what_is_found_of_a_quantile_is_outside(case):
-    """Nothing is exceeded more often than it says, by however little."""
+def test_the_quantile_that_is_found_is_exceeded_no_more_often_than_stated(case):
+    """Not even by a rounding error."""
     chances, means, covariances, *_, rng = case
     chances = chances / chances.sum(axis=1, keepdims=True)
     bounds = rng.uniform(0.0, 6.0, (2, 4))
@@ -85,7 +85,7 @@ def test_what_is_found_of_a_quantile_is_outside(case):
 
 @given(followed(), st.floats(0.1, 4.0))
 @settings(max_examples=30, deadline=None)
-def test_a_score_is_above_a_bound_where_what_is_seen_is_beyond_its_quantile(case, bound):
+def test_a_score_exceeds_a_bound_where_the_observation_exceeds_its_quantile(case, bound):
     chances, means, covariances, seen, noise, _ = case
     chances = chances / chances.sum(axis=1, keepdims=True)
     k = min(len(means), len(seen))

@@ -1,4 +1,5 @@
-"""Occupancy grids as scenes: everybody is inside the bounds that a grid leaves, and whoever is not shown is beyond."""
+"""Occupancy grids as scenes: every vehicle is inside the bounds of its cell, and vehicles that are not shown are
+beyond the edges."""
 
 from __future__ import annotations
 
@@ -45,7 +46,7 @@ def row_of(base):
 
 
 def truth(base):
-    """x, y, vx and vy of everybody else, relative to the ego."""
+    """x, y, vx and vy of all other vehicles, relative to the ego."""
     ego = base.vehicle
     others = [[*(v.position - ego.position), *(v.velocity - ego.velocity)] for v in base.road.vehicles if v is not ego]
     return np.array(others).reshape(-1, 4)
@@ -72,9 +73,9 @@ grids = st.fixed_dictionaries(
 
 @given(grid=grids, seed=st.integers(0, 500), turns=st.integers(0, 3))
 @settings(max_examples=25, deadline=None, phases=[Phase.generate])
-def test_everybody_in_the_grid_is_inside_its_bounds(grid, seed, turns):
-    """Whoever is shown is where it is said to be; whoever is not is beyond the edges, or hidden by somebody in the same
-    cell, or too fast for the range."""
+def test_every_vehicle_in_the_grid_is_inside_its_bounds(grid, seed, turns):
+    """A vehicle that is not shown is beyond the edges, hidden by another in the same cell, or too fast for the
+    range."""
     observation = {"type": "OccupancyGrid", **grid}
     env = make(observation)
     obs, _ = env.reset(seed=seed)
@@ -146,7 +147,8 @@ def seen(observation, seed, config=None, actions=(), **kwargs):
 @given(seed=st.integers(0, 1_000), actions=st.lists(st.integers(0, 4), max_size=4))
 @settings(max_examples=4, deadline=None, phases=[Phase.generate])
 def test_true_bodies_are_inside_those_of_the_scene(observation, seed, actions):
-    """Each is covered by somebody in the scene, ahead no faster, behind no slower, or is beyond the edges."""
+    """Each body is covered by one in the scene, which ahead is no faster and behind no slower; or it is beyond the
+    edges."""
     perception, scene, base = seen(observation, seed, actions=actions)
     (far, back), ego, shown = perception.edges, base.vehicle, scene.others
     assume(not ego.crashed)  # bodies that overlap share a cell
@@ -166,7 +168,7 @@ def test_true_bodies_are_inside_those_of_the_scene(observation, seed, actions):
     "observation", [FINE, pytest.param({**FINE, "align_to_vehicle_axes": True}, marks=pytest.mark.slow)]
 )
 def test_a_fine_grid_decides_as_the_simulator_s_state(observation):
-    """And in another process, where the ego's own state is what it was told."""
+    """Also in another process, where the ego's own state is that of its commands."""
     known = Known.from_config({**HighwayEnvFast.default_config(), "observation": observation})
     found = []
     for kwargs in ({"perception": "simulator", "config": "worst-case"}, {}, {"env": None, "known": known}):
@@ -184,7 +186,7 @@ def test_a_fine_grid_decides_as_the_simulator_s_state(observation):
     assert len(set(found[0])) > 1
 
 
-def test_who_is_who_is_known_from_one_grid_to_the_next():
+def test_vehicles_keep_their_identity_from_one_grid_to_the_next():
     for observation, share in ((FINE, 0.9), (COARSE, 0.3)):
         env = make(observation)
         obs, _ = env.reset(seed=0)
@@ -208,8 +210,9 @@ def test_who_is_who_is_known_from_one_grid_to_the_next():
         assert len(known) < (1 - share) * total
 
 
-def test_nobody_is_taken_for_another_where_it_may_be_either():
-    """Two in one lane, each of whom may be in either cell a decision later: bounds are not narrowed by a guess."""
+def test_ambiguous_vehicles_get_new_identities():
+    """Two vehicles in one lane, each of which may be in either cell a decision later: bounds are not narrowed by a
+    guess."""
     spec = GridSpec(size=((-50.0, 50.0), (-15.0, 15.0)), step=(5.0, 5.0))
     perception, ego = GridPerception(spec, ROAD, (0.2, 5)), np.array([0.0, 4.0, 0.0, 25.0, 5.0, 2.0, 0.0])
 
@@ -228,8 +231,8 @@ def test_nobody_is_taken_for_another_where_it_may_be_either():
     assert later.blurred
 
 
-def test_in_a_cell_of_two_lanes_somebody_may_be_hidden():
-    """The lanes at 4 m and 8 m share a cell: whoever is shown may be in either, and in the other may be somebody."""
+def test_a_cell_of_two_lanes_may_hide_a_vehicle():
+    """The lanes at 4 m and 8 m share a cell: the shown vehicle may be in either, and another vehicle in the other."""
     spec = GridSpec(size=((-50.0, 50.0), (-22.0, 22.0)), step=(5.0, 8.0))
     road, ego = StraightRoad.from_lanes(4), np.array([0.0, 0.0, 0.0, 25.0, 5.0, 2.0, 0.0])
     obs = np.zeros(spec.shape)
@@ -243,7 +246,7 @@ def test_in_a_cell_of_two_lanes_somebody_may_be_hidden():
     assert spec.hides
 
 
-def test_beyond_the_grid_somebody_slow_is_assumed():
+def test_a_slow_vehicle_is_assumed_beyond_the_grid():
     perception, scene, _ = seen({**COARSE, "grid_size": [[-32.5, 52.5], [-17.5, 17.5]]}, 3)
     assert perception.edges == (pytest.approx(52.5), pytest.approx(32.5))
     far = scene.others[(scene.ids < 0) & (scene.others[:, 0] - scene.ego[0] >= 52.5 - 1e-6)]
@@ -281,7 +284,7 @@ def test_the_grid_turns_with_the_ego():
         ({"features": ["presence", "vx", "vx", "vy"]}, "each feature may be there once"),
     ],
 )
-def test_a_grid_that_cannot_be_used_says_what_to_change(options, match):
+def test_an_unusable_grid_is_refused_with_the_setting_to_change(options, match):
     with pytest.raises(ConfigError, match=match):
         GridSpec.from_config({**COARSE, **options})
 
@@ -320,11 +323,11 @@ def test_a_grid_that_cannot_be_read_is_answered_with_the_labelled_fallback(bad):
         assert (shielded.last_decision.reason is Reason.BAD_SCENE) is fails
     shielded.reset()
     shielded.predict(bad)
-    shielded.predict(obs)  # where the ego is now nobody knows
+    shielded.predict(obs)  # the ego's position is unknown now
     assert shielded.last_decision.reason is Reason.BAD_SCENE
 
 
-def test_who_is_too_fast_for_the_range_is_somebody_of_whom_nothing_is_known():
+def test_a_vehicle_too_fast_for_the_range_may_be_anywhere():
     spec = GridSpec(
         size=((-50.0, 50.0), (-15.0, 15.0)), step=(5.0, 5.0), ranges={"vx": (-10.0, 10.0), "vy": (-10.0, 10.0)}
     )
@@ -356,7 +359,7 @@ def test_stacked_grids_are_unstacked(order):
             shown, *_ = world.step(action)
 
 
-def test_nothing_but_grids_is_read_of_the_traffic_and_nobody_is_hit(monkeypatch):
+def test_traffic_is_read_from_grids_alone_and_the_ego_does_not_crash(monkeypatch):
     def forbidden(self):
         raise AssertionError("the simulator's state was read")
 

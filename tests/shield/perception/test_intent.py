@@ -1,4 +1,4 @@
-"""Which lane somebody is going to be in: probabilities, that say what happens."""
+"""Predicted lanes of a vehicle, as calibrated probabilities."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from shield.perception.tracking import Tracks
 CENTERS = np.array([0.0, 4.0, 8.0])
 CALM, FREE, BRISK = np.eye(3)
 NOBODY = np.array([-500.0, 0.0, 20.0, 0.0])
-"""An ego that is in nobody's way."""
+"""An ego that is in no vehicle's way."""
 
 
 def known(states, spread=1e-4, chances=CALM):
-    """Tracks of those whose state is known so well, (n, 4)."""
+    """Tracks of vehicles whose state (n, 4) is known with this spread."""
     states = np.asarray(states, float).reshape(-1, 4)
     n = len(states)
     return Tracks(
@@ -40,7 +40,7 @@ def known(states, spread=1e-4, chances=CALM):
     chances=st.tuples(st.floats(0.01, 1), st.floats(0.01, 1), st.floats(0.01, 1)),
     lanes=st.integers(1, 5),
 )
-def test_what_is_said_is_a_probability_of_each_lane(states, spread, chances, lanes):
+def test_predicted_lanes_are_probabilities(states, spread, chances, lanes):
     tracks, centers = known(states, spread, np.array(chances) / sum(chances)), 4.0 * np.arange(lanes)
     wished = wishes(tracks, NOBODY, centers)
     said = lane_chances(tracks, wished, centers)
@@ -52,7 +52,7 @@ def test_what_is_said_is_a_probability_of_each_lane(states, spread, chances, lan
 
 
 @given(y=st.floats(-2, 10), lane=st.integers(0, 2))
-def test_who_is_calm_and_gains_nothing_is_thought_to_stay(y, lane):
+def test_a_calm_vehicle_without_incentive_is_predicted_to_stay(y, lane):
     state = [0.0, CENTERS[lane] + 0.1 * np.sin(y), 20.0, 0.0]
     tracks = known([state])
     assert not wishes(tracks, NOBODY, CENTERS).any()
@@ -60,40 +60,40 @@ def test_who_is_calm_and_gains_nothing_is_thought_to_stay(y, lane):
 
 
 @pytest.mark.parametrize("vy", [-3.0, 3.0])
-def test_who_is_on_the_move_is_thought_to_settle_where_it_moves_to(vy):
+def test_a_vehicle_that_moves_across_is_predicted_in_the_lane_ahead_of_its_motion(vy):
     state = [0.0, 4.0 + 0.4 * np.sign(vy), 20.0, vy]
     towards = 1 + int(np.sign(vy))
     moving = lane_chances(known([state], chances=BRISK), np.zeros((1, 2)), CENTERS)[0]
     assert moving[towards] > 0.2 > 0.01 > lane_chances(known([state]), np.zeros((1, 2)), CENTERS)[0, towards]
-    # The further it has come, the surer.
+    # The further it has moved, the higher the probability.
     later = [0.0, 4.0 + 1.8 * np.sign(vy), 20.0, vy]
     assert lane_chances(known([later], chances=BRISK), np.zeros((1, 2)), CENTERS)[0, towards] > moving[towards]
 
 
 @given(spread=st.floats(0.01, 20))
-def test_the_less_is_known_the_less_is_said(spread):
-    """Of somebody in the middle of its lane, standing still across."""
+def test_a_wider_spread_makes_the_prediction_less_certain(spread):
+    """For a vehicle in the middle of its lane, without lateral motion."""
     state, none = [0.0, 4.0, 20.0, 0.0], np.zeros((1, 2))
     for chances in (CALM, BRISK):
         one, other = (lane_chances(known([state], s, chances), none, CENTERS)[0, 1] for s in (spread, 1.5 * spread))
         assert other <= one + 1e-12
 
 
-def test_who_is_held_up_wishes_to_change_where_there_is_room():
+def test_a_blocked_vehicle_has_an_incentive_to_change_where_there_is_room():
     slow, fast = [20.0, 4.0, 15.0, 0.0], [0.0, 4.0, 25.0, 0.0]
     beside_below, behind_above = [5.0, 0.0, 20.0, 0.0], [-8.0, 8.0, 25.0, 0.0]
     np.testing.assert_array_equal(wishes(known([fast, slow]), NOBODY, CENTERS)[0], [1.0, 1.0])
     np.testing.assert_array_equal(wishes(known([fast, slow, beside_below]), NOBODY, CENTERS)[0], [0.0, 1.0])
     np.testing.assert_array_equal(wishes(known([fast, slow, beside_below, behind_above]), NOBODY, CENTERS)[0], [0, 0])
-    # The ego is in the way as anybody is.
+    # The ego blocks a lane like any other vehicle.
     np.testing.assert_array_equal(wishes(known([fast, slow]), np.array(behind_above), CENTERS)[0], [1.0, 0.0])
     said = lane_chances(known([fast]), np.array([[0.0, 1.0]]), CENTERS)[0]
     assert said[2] == pytest.approx(HABITS.eager, abs=0.01)
     assert said[1] == pytest.approx(1 - HABITS.eager, abs=0.01)
 
 
-def test_wishes_are_those_of_highway_env_s_own_cars():
-    """MOBIL as they ask it, of states that are known."""
+def test_lane_change_incentives_are_those_of_highway_env():
+    """MOBIL as highway-env evaluates it, for known states."""
     base, found = gym.make("highway-fast-v0").unwrapped, Counter()
     for seed in range(3):
         base.reset(seed=seed)
@@ -113,13 +113,13 @@ def test_wishes_are_those_of_highway_env_s_own_cars():
             base.road.step(0.2)
             base.steps += 1
     assert found[True, True] > 40
-    # The speed that somebody would like is not known: a follower that would let one in is not always known to.
+    # The desired speed of a vehicle is not known, so a follower that would yield is not always recognised.
     assert found[True, False] <= 0.25 * found[True, True]
     assert found[False, True] <= 0.05 * found[True, True]
 
 
 @pytest.mark.parametrize("centers", [[], [0.0, 0.0], [4.0, 0.0]])
-def test_lanes_that_there_cannot_be_are_refused(centers):
+def test_lanes_that_do_not_ascend_are_refused(centers):
     tracks = known([[0.0, 0.0, 20.0, 0.0]])
     with pytest.raises(ConfigError, match="ascend"):
         lane_chances(tracks, np.zeros((1, 2)), np.array(centers))
@@ -127,7 +127,7 @@ def test_lanes_that_there_cannot_be_are_refused(centers):
         wishes(tracks, NOBODY, np.array(centers))
 
 
-# -- how well it is known where somebody is --------------------------------------------------------------------
+# -- probability of a position --------------------------------------------------------------------------------------
 
 
 @given(
@@ -137,7 +137,7 @@ def test_lanes_that_there_cannot_be_are_refused(centers):
     chance=st.floats(0, 1),
     distance=st.floats(0.1, 6),
 )
-def test_what_is_said_of_being_near_is_the_share_of_the_mixture_that_is(spreads, turn, apart, chance, distance):
+def test_the_probability_of_being_near_is_the_share_of_the_mixture(spreads, turn, apart, chance, distance):
     c, s = np.cos(turn), np.sin(turn)
     turned = np.array([[c, -s], [s, c]])
     covariance = np.eye(4)

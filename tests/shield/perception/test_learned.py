@@ -1,4 +1,4 @@
-"""What innovations say of a sensor: how noisy it is, how far away bounds have to be, and whether it has changed."""
+"""Innovations of a sensor give its noise, the width of bounds, and an alarm where it has changed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CONTROL = EgoControl(Target(1, 25.0))
 
 
 def driven(sensor, decisions, seed=0, **config):
-    """An environment that was driven for so many decisions, and what makes its scenes."""
+    """An environment driven for a number of decisions, and its perception."""
     env = ShieldedEnv(SensorNoise(make({**SEEN}), SENSORS[sensor]), perception=PerceptionConfig(**config))
     env.reset(seed=seed)
     for _ in range(decisions):
@@ -38,14 +38,14 @@ def driven(sensor, decisions, seed=0, **config):
 @pytest.mark.parametrize(
     ("sensor", "sigma"), [("metric-0.5", [0.5] * 4), ("metric-2", [2.0] * 4), ("normalised-0.2", [40, 2.4, 16, 16])]
 )
-def test_the_noise_is_found_within_some_hundred_vehicles_while_the_shield_acts(sensor, sigma):
+def test_the_noise_is_estimated_from_some_hundred_vehicles_while_the_shield_acts(sensor, sigma):
     _, perception = driven(sensor, 12, seed=5000, noise="estimate")
     assert 100 < perception.learned.noise.count < 600
     np.testing.assert_allclose(perception.noise, sigma, rtol=0.2)
 
 
-def test_decisions_are_those_of_noise_that_is_told_once_it_is_known():
-    """Bounds that rest on what was learned are about as wide as those of noise that is told."""
+def test_bounds_of_estimated_noise_are_those_of_given_noise():
+    """They are equally wide, to 30 percent."""
     widths = []
     for config in ({"noise": "estimate"}, {}):
         env, _ = driven("metric-2", 12, **config)
@@ -56,7 +56,7 @@ def test_decisions_are_those_of_noise_that_is_told_once_it_is_known():
 
 @given(st.integers(0, 10**6), st.integers(1, 400), st.floats(0.05, 20.0))
 @settings(max_examples=50, deadline=None)
-def test_noise_is_taken_to_be_no_less_than_it_is_while_little_was_seen(seed, n, sigma):
+def test_noise_is_not_underestimated_from_few_observations(seed, n, sigma):
     """The upper end of the interval is above the root mean square, the more so the fewer were seen."""
     rng = np.random.default_rng(seed)
     steps = np.clip(rng.normal(0, sigma * np.sqrt(2), (n, 4)), -100, 100)
@@ -70,7 +70,7 @@ def test_noise_is_taken_to_be_no_less_than_it_is_while_little_was_seen(seed, n, 
     assert (Noise().after(np.zeros((500, 4))).sigma == RESOLUTION).all()
 
 
-def test_a_sensor_that_gets_worse_is_found_out():
+def test_a_sensor_that_gets_worse_is_detected():
     rng, noise = np.random.default_rng(0), Noise()
     for k in range(400):
         sigma = 0.5 if k < 200 else 2.0
@@ -79,7 +79,7 @@ def test_a_sensor_that_gets_worse_is_found_out():
             np.testing.assert_allclose(noise.sigma, sigma, rtol=0.2)
 
 
-def test_nothing_is_known_before_anything_was_seen():
+def test_no_noise_estimate_exists_before_an_observation():
     """The first scene of an unknown sensor is as wide as the worst sensor makes it."""
     perception = ObservationPerception(
         ObservationSpec(rows=2, see_behind=True), ROAD, (0.2, 5), PerceptionConfig(noise="estimate")
@@ -92,7 +92,7 @@ def test_nothing_is_known_before_anything_was_seen():
 
 
 @pytest.mark.parametrize("carry", [True, False])
-def test_what_was_learned_is_carried_to_the_next_episode_where_that_is_asked(carry):
+def test_the_estimate_is_carried_to_the_next_episode_if_configured(carry):
     env, perception = driven("metric-2", 3, noise="estimate", bounds="conformal", carry=carry)
     learned = perception.learned
     assert learned.noise.count > 20
@@ -109,8 +109,8 @@ def test_what_was_learned_is_carried_to_the_next_episode_where_that_is_asked(car
 
 
 @pytest.mark.parametrize("kind", ["normal", "tails", "biased", "jumps", "adversary"])
-def test_as_many_are_beyond_the_bounds_as_chosen_whatever_the_distribution(kind):
-    """Scores whose distribution changes, or that answer to the bounds, too."""
+def test_the_chosen_share_exceeds_conformal_bounds_for_any_distribution(kind):
+    """Also for scores whose distribution changes, or depends on the bounds."""
     rng, state, missed, total = np.random.default_rng(3), Conformal.of(2.0), np.zeros((2, 4)), 0
     for k in range(800):
         scores = rng.standard_t(3, (10, 4)) if kind == "tails" else rng.standard_normal((10, 4))
@@ -136,7 +136,7 @@ def test_bounds_begin_as_those_of_a_normal_distribution_and_grow_with_tails():
     assert (state.bounds > 3.0).all()
 
 
-def test_where_even_the_widest_bounds_are_missed_they_stay():
+def test_the_widest_bounds_do_not_grow():
     state = Conformal.of(2.0)
     for _ in range(50):
         state = state.after(np.full((10, 4), FARTHEST))
@@ -162,8 +162,8 @@ def test_bodies_reach_as_far_as_the_conformal_bounds_say():
 
 @given(st.integers(0, 10**6), st.integers(4, 15))
 @settings(max_examples=60, deadline=None)
-def test_noise_three_times_as_large_is_an_alarm_and_as_told_it_is_none(seed, vehicles):
-    """Squared distances as of what is expected and seen by four normal numbers each."""
+def test_noise_three_times_as_large_raises_an_alarm_and_expected_noise_does_not(seed, vehicles):
+    """The squared distances between prediction and observation are those of four normal numbers each."""
     rng, calm, loud = np.random.default_rng(seed), Monitor(), Monitor()
     for frame in range(5):
         distances = rng.chisquare(4, vehicles)
@@ -172,14 +172,14 @@ def test_noise_three_times_as_large_is_an_alarm_and_as_told_it_is_none(seed, veh
     assert loud.alarmed
 
 
-def test_one_vehicle_that_swings_is_no_alarm():
+def test_a_single_swerving_vehicle_raises_no_alarm():
     rng, monitor = np.random.default_rng(0), Monitor()
     for frame in range(5):
         monitor = monitor.after(frame, np.concatenate([[1e4], rng.chisquare(4, 7)]), 5)
     assert not monitor.alarmed
 
 
-def test_what_is_older_than_a_decision_counts_no_more():
+def test_observations_older_than_a_decision_do_not_count_for_the_alarm():
     monitor = Monitor()
     for frame in range(5):
         monitor = monitor.after(frame, np.full(10, 30.0), 5)
@@ -190,7 +190,7 @@ def test_what_is_older_than_a_decision_counts_no_more():
     assert not Monitor().alarmed
 
 
-def test_a_sensor_that_has_changed_is_answered_with_the_widest_bounds_and_no_guarantee():
+def test_a_changed_sensor_gets_the_widest_bounds_and_no_guarantee():
     env, perception = driven("metric-2", 3, monitor=True)
     assert not env.last_decision.alarm
     before = env.door.reader.read()

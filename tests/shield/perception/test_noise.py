@@ -1,4 +1,4 @@
-"""What is seen through noise, and late."""
+"""Observations with noise and delay."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from shield.pipelines.screen import Wish
 
 
 @pytest.mark.parametrize("sigma", [0.5, 2.0])
-def test_a_lane_change_is_found_under_noise(sigma):
-    """One who has left its lane is not thought to be in it because it is likely to be."""
+def test_a_lane_change_is_detected_under_noise(sigma):
+    """A vehicle that has left its lane is not assumed inside it because of the prior."""
     rng, noise, dt = np.random.default_rng(1), np.eye(4) * sigma**2, 0.2
     motions, found = Motions(centers=np.array([0.0, 4.0, 8.0])), []
     for _ in range(30):
@@ -43,8 +43,8 @@ def test_a_lane_change_is_found_under_noise(sigma):
     assert max(found) < 2.0
 
 
-def test_bounds_are_no_wider_than_what_was_known_before():
-    """A leader of constant speed, shown with noise: its rear is never thought further back than it can have come."""
+def test_bounds_are_no_wider_than_those_predicted_from_the_frame_before():
+    """A leader of constant speed, observed with noise: its rear bound is never behind the reachable one."""
     rng, config = np.random.default_rng(2), ShieldConfig()
     core, control = Core(MetaActions(config)), EgoControl(Target(0, 25.0))
     wish, back = Wish(1, control.actions, None), None
@@ -77,8 +77,9 @@ def test_newcomers_and_scenes_that_are_exact_are_not_narrowed():
         assert float(core.memory.survey.around.states[0, 0]) == 60.0
 
 
-def test_what_is_late_is_taken_to_where_it_is_by_now():
-    """Others that keep their speed, shown relative to where the ego was 5 frames ago, while the ego accelerates."""
+def test_a_delayed_observation_is_extrapolated_to_the_present():
+    """Other vehicles keep their speed and are observed relative to the ego's place 5 frames ago, while the ego
+    accelerates."""
     spec = ObservationSpec(rows=3, see_behind=True)
     perception = ObservationPerception(spec, ROAD, (0.2, 5), PerceptionConfig(delay=5, cruise=ANY))
     control, egos, x = EgoControl(Target(1, 25.0)), [], 0.0
@@ -128,14 +129,14 @@ def test_bounds_grow_with_the_noise():
 @given(low=st.floats(0.02, 20.0), times=st.floats(1.05, 10.0), seed=st.integers(0, 10**6), steps=st.integers(1, 8))
 @settings(max_examples=25, deadline=None)
 def test_bounds_shrink_as_the_noise_does(low, times, seed, steps):
-    """Each vehicle's, on each side, whatever is seen: the better the sensor, the less far anybody may be."""
+    """For each vehicle and side, for any observation: a better sensor gives bounds that reach less far."""
     rng, widths = np.random.default_rng(seed), []
     drawn = rng.standard_normal((steps, 4))
     for sigma in (low, low * times):
         tracks, noise = Tracks(), np.eye(4) * sigma**2
         for k in range(steps):
             state = np.array([[40.0 + 21.0 * 0.2 * k, 4.0, 21.0, 0.0]])
-            # The same draws by what was expected: so that all motions are as likely as with the other noise.
+            # The same draws, relative to the prediction, so that all motions are as likely as under the other noise.
             seen = state + 0.01 * low * drawn[k]
             tracks = follow(tracks, seen, noise, 0.2, Motions())
         below, above = sides(tracks, 2.0)
@@ -145,8 +146,9 @@ def test_bounds_shrink_as_the_noise_does(low, times, seed, steps):
 
 @given(seed=st.integers(0, 10**6), corners=st.booleans(), sigma=st.sampled_from([0.3, 1.0, 3.0]))
 @settings(max_examples=30, deadline=None)
-def test_whoever_is_within_the_bounds_is_covered_by_the_body_and_as_fast_as_it_or_less_in_the_way(seed, corners, sigma):
-    """The body in the scene holds the body of a car wherever within the stated bounds it is."""
+def test_a_vehicle_within_the_bounds_is_covered_by_the_body_of_the_scene(seed, corners, sigma):
+    """The body in the scene contains the body of a car anywhere within the stated bounds, and its speed is the worse
+    one."""
     rng = np.random.default_rng(seed)
     perception = ObservationPerception(
         ObservationSpec(rows=3, see_behind=True), ROAD, (0.2, 5), PerceptionConfig(noise=(sigma,) * 4)
@@ -172,8 +174,8 @@ def test_whoever_is_within_the_bounds_is_covered_by_the_body_and_as_fast_as_it_o
 
 
 @pytest.mark.parametrize("seed", range(5000, 5003))
-def test_the_certificate_holds_for_whoever_is_within_the_bounds(seed):
-    """What verifies in a scene of bounds verifies with cars that are, and drive, anywhere within them."""
+def test_the_certificate_holds_for_any_vehicle_within_the_bounds(seed):
+    """A plan verified in a scene of bounds also verifies with cars anywhere within them."""
     rng, config = np.random.default_rng(seed), ShieldConfig()
     env = make(SEEN)
     env.reset(seed=seed)
@@ -187,7 +189,7 @@ def test_the_certificate_holds_for_whoever_is_within_the_bounds(seed):
         slower = rng.uniform(0.0, 1.0, len(exact.others))
         ahead = exact.others[:, 0] > exact.ego[0]
         rows = exact.others.copy()
-        # Bounds in which the truth is, anywhere.
+        # Bounds that contain the truth at a random place.
         rows[:, :2] += rng.uniform(-1, 1, half.shape) * half
         rows[:, 4:6] += 2 * half
         rows[:, 3] += np.where(ahead, -slower, slower)
@@ -208,7 +210,7 @@ def test_the_certificate_holds_for_whoever_is_within_the_bounds(seed):
 
 
 def hemmed(beside, ahead, speed=20.0):
-    """An ego in the middle lane, with bounds all over the road, one who is thought to be beside it and one ahead."""
+    """An ego in the middle lane, bounds all over the road, one vehicle likely beside it and one likely ahead."""
     likely = np.array([[*beside, 0.0, 20.0, 5.0, 2.0, 0.0], [*ahead, 0.0, 18.0, 5.0, 2.0, 0.0]])
     rows = likely.copy()
     rows[:, 4:6] += [[80.0, 6.0]]
@@ -218,8 +220,8 @@ def hemmed(beside, ahead, speed=20.0):
 
 
 @pytest.mark.parametrize(("side", "free"), [(0.0, 2), (8.0, 0)])
-def test_nobody_swerves_into_who_is_thought_to_be_beside(side, free):
-    """With bounds over everything the largest margin says nothing; who is likely there does."""
+def test_the_ego_does_not_swerve_into_a_likely_vehicle_beside_it(side, free):
+    """With bounds over the whole road the largest margin does not discriminate; the likely places do."""
     scene = hemmed((1.0, side), (9.0, 4.0))
     frames = Frames(ShieldConfig())
     decision = Core(frames).decide(scene, Target(1, 30.0))
@@ -227,14 +229,14 @@ def test_nobody_swerves_into_who_is_thought_to_be_beside(side, free):
     assert not decision.tier.verified
     assert decision.margin < 0.0
     assert decision.executed.lane in (1, free)
-    # At 2 m/s more than the leader the ego does not go on as it wanted to.
+    # At 2 m/s more than the leader, the ego does not continue its proposal.
     assert decision.executed.acceleration < 0.0 or decision.executed.lane == free
 
 
 @pytest.mark.parametrize(("side", "free"), [(0.0, 2), (8.0, 0)])
-def test_among_bounds_it_goes_by_where_the_others_are_likely(side, free):
-    """Nothing clears the bounds. The lane on the likely one's far side is taken from one close ahead, and nobody brakes
-    as hard as can be for one who is likely far away."""
+def test_the_fallback_uses_the_likely_places_inside_bounds(side, free):
+    """No plan clears the bounds. Behind a near leader the ego takes the free lane; for a likely distant one it does
+    not brake hardest."""
     near, far = (
         Core(Frames(ShieldConfig())).decide(hemmed((1.0, side), (gap, 4.0)), Target(1, 30.0)) for gap in (7.0, 40.0)
     )
@@ -252,7 +254,7 @@ def test_a_likely_place_in_the_way_is_braked_for():
     assert decisions[0].acceleration < -4.0 or decisions[0].lane == 2
 
 
-def test_bounds_are_narrowed_towards_what_is_likely():
+def test_bounds_are_narrowed_towards_the_likely_place():
     scene = hemmed((1.0, 0.0), (9.0, 4.0))
     np.testing.assert_array_equal(scene.narrowed(1.0).others, scene.others)
     np.testing.assert_array_equal(scene.narrowed(0.0).others, scene.likely)
@@ -262,7 +264,7 @@ def test_bounds_are_narrowed_towards_what_is_likely():
     assert exact.narrowed(0.5) is exact
 
 
-def test_what_is_seen_through_noise_says_what_is_likely():
+def test_a_noisy_observation_has_likely_places():
     env = SensorNoise(make(SEEN), SENSORS["metric-2"])
     env.reset(seed=3)
     scenes = ObservedScenes(env)

@@ -1,4 +1,4 @@
-"""Scenes of observations: the shield sees nothing else, and says what its certificates rest on."""
+"""Scenes from observations alone; each record states its guarantee."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from shield.perception.perceiving import PerceptionConfig
 from shield.perception.unwrapping import as_shown
 
 
-def test_everybody_is_seen_as_by_the_simulator_s_state():
-    """With everything observed, the shield does what it does with the simulator's state."""
+def test_full_observations_give_the_decisions_of_the_simulator_s_state():
+    """With every vehicle observed, the shield acts as with the simulator's state."""
     executed = []
     for perception in ("simulator", "observation"):
         env = ShieldedEnv(make({**SEEN, "vehicles_count": 40}), perception=perception)
@@ -35,7 +35,7 @@ def test_everybody_is_seen_as_by_the_simulator_s_state():
 
 @pytest.mark.parametrize("observation", [{"type": "Kinematics"}, SEEN])
 @pytest.mark.parametrize("action", [0, 2, 3])
-def test_nothing_but_the_observation_is_read_and_nobody_is_hit(observation, action, monkeypatch):
+def test_the_observation_alone_is_read_and_the_ego_does_not_crash(observation, action, monkeypatch):
     def forbidden(self):
         raise AssertionError("the simulator's state was read")
 
@@ -71,7 +71,7 @@ def test_normalised_and_stacked_observations_are_undone():
 
 
 @pytest.mark.parametrize("frames", [True, False])
-def test_a_shield_around_a_policy_reads_what_reaches_predict(frames):
+def test_a_shield_around_a_policy_reads_the_observation_of_predict(frames):
     env = make(SEEN)
     obs, _ = env.reset(seed=5)
     shielded = Shield(Faster(), env=env, frames=frames, perception="observation")

@@ -1,4 +1,4 @@
-"""What observations show: decoded as the simulator has it."""
+"""Decoded observations equal the simulator's state."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ EXTRAS = ("presence", "heading", "cos_h", "sin_h", "cos_d", "long_off", "lat_off
 
 
 def truth(base):
-    """x from the ego's, y, vx and vy of everybody else."""
+    """x relative to the ego, y, vx and vy of all other vehicles."""
     ego = base.vehicle
     return np.array(
         [[v.position[0] - ego.position[0], v.position[1], *v.velocity] for v in base.road.vehicles if v is not ego]
@@ -43,7 +43,7 @@ def truth(base):
     decisions=st.integers(0, 3),
 )
 @settings(max_examples=25, deadline=None)
-def test_what_is_decoded_is_the_simulator_s_truth(extras, order, count, options, seed, decisions):
+def test_a_decoded_observation_is_the_state_of_the_simulator(extras, order, count, options, seed, decisions):
     features = ["x", "y", "vx", "vy", *extras]
     order.shuffle(features)
     observation = {"type": "Kinematics", "features": features, "vehicles_count": count, "clip": False, **options}
@@ -64,7 +64,7 @@ def test_what_is_decoded_is_the_simulator_s_truth(extras, order, count, options,
         assert abs(sighting.heading - base.vehicle.heading) < 1e-5
     if not spec.sorted:
         return
-    # Whoever is left out is beyond the edges.
+    # A vehicle that is left out is beyond the edges.
     far, back = edges(spec, sighting)
     left_out = np.delete(there, apart.argmin(axis=1), axis=0) if len(sighting.others) else there
     ahead_by = left_out[:, 0]
@@ -79,14 +79,14 @@ def test_what_is_decoded_is_the_simulator_s_truth(extras, order, count, options,
         ({"vehicles_count": 1}, "at least 2"),
     ],
 )
-def test_what_cannot_be_used_says_what_to_change(options, match):
+def test_an_unusable_observation_is_refused_with_the_setting_to_change(options, match):
     env = make({"type": "Kinematics", **options})
     env.reset(seed=0)
     with pytest.raises(ConfigError, match=match):
         ObservationSpec.of(env)
 
 
-def test_other_observations_are_refused_with_what_to_take():
+def test_other_observation_types_are_refused_with_the_supported_ones():
     env = make({"type": "TimeToCollision"})
     env.reset(seed=0)
     with pytest.raises(ConfigError, match="not TimeToCollisionObservation"):
@@ -112,7 +112,7 @@ def test_the_configuration_says_the_same_as_the_environment(observation):
         None,
     ],
 )
-def test_what_cannot_be_read_is_an_error_and_falls_back(bad):
+def test_an_unreadable_observation_is_an_error_and_falls_back(bad):
     with pytest.raises(SceneError):
         decode(ObservationSpec(), bad)
     env = ShieldedEnv(gym.make("highway-fast-v0"), perception="observation")

@@ -1,4 +1,4 @@
-"""Who is who from one observation to the next."""
+"""Identity of vehicles from one observation to the next."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from shield.pipelines.meta_actions import MetaActions
 from shield.pipelines.screen import Wish
 
 
-def test_nobody_is_lost_when_rows_are_shuffled():
-    """Who has been given a number keeps it, and the same scene is seen as of sorted rows."""
+def test_shuffled_rows_lose_no_vehicle():
+    """A vehicle keeps its number, and the scene equals that of sorted rows."""
     observation = {**SEEN, "vehicles_count": 30, "order": "shuffled"}
     env = make(observation)
     for seed in range(4):
@@ -51,7 +51,7 @@ def test_nobody_is_lost_when_rows_are_shuffled():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_order_of_the_rows_changes_nothing(seed):
-    """Whoever has a number is the same in every scene, wherever its row is."""
+    """A number means the same vehicle in every scene, wherever its row is."""
     rng, base = np.random.default_rng(seed), gym.make("highway-fast-v0").unwrapped
     base.reset(seed=seed)
     reader, config = SceneReader(base), ShieldConfig()
@@ -60,7 +60,7 @@ def test_the_order_of_the_rows_changes_nothing(seed):
     for k in range(40):
         scene = reader.read()
         many = len(scene.others)
-        # Somebody is out of sight now and then.
+        # A vehicle is out of sight now and then.
         seen = np.sort(rng.permutation(many)[: many - (k % 7 == 3)])
         mixed = rng.permutation(seen)
         scenes = [replace(scene, others=scene.others[rows], ids=rows) for rows in (seen, mixed)]
@@ -83,11 +83,11 @@ def test_the_order_of_the_rows_changes_nothing(seed):
 
 
 def test_the_filter_is_calibrated():
-    """The squared distance between what is expected and seen has the mean that its covariance says: 4."""
+    """The mean squared distance between prediction and observation is the dimension of its covariance: 4."""
     rng, noise = np.random.default_rng(0), np.diag(np.square([0.5, 0.4, 0.6, 0.3]))
     a, dt, n = (2.0, 1.0), 0.2, 40
     truth = rng.normal(0, 50, (n, 4)) + np.array([0, 0, 25, 0])
-    truth[:, 0] += 1_000 * np.arange(n)  # so far apart that nobody is taken for another
+    truth[:, 0] += 1_000 * np.arange(n)  # so far apart that vehicles cannot be confused
     tracks, found, outside = Tracks(), [], 0
     for k in range(60):
         seen = truth + rng.multivariate_normal(np.zeros(4), noise, n)
@@ -111,7 +111,7 @@ def test_the_filter_is_calibrated():
     assert outside <= 0.01 * 4 * len(values)
 
 
-def test_who_leaves_is_forgotten_and_who_comes_is_new():
+def test_a_vehicle_that_leaves_is_dropped_and_a_new_one_gets_a_new_number():
     noise = np.eye(4) * 1e-4
     one, two = [0.0, 0.0, 20.0, 0.0], [30.0, 4.0, 20.0, 0.0]
     tracks = follow(Tracks(), np.array([one, two]), noise, 0.1, Motions())
@@ -123,7 +123,7 @@ def test_who_leaves_is_forgotten_and_who_comes_is_new():
 
 
 @given(patience=st.integers(0, 4), gone=st.integers(1, 6))
-def test_somebody_may_be_missing_for_as_long_as_there_is_patience(patience, gone):
+def test_a_vehicle_may_be_missing_up_to_the_limit(patience, gone):
     noise, state = np.eye(4) * 0.01, np.array([[0.0, 0.0, 20.0, 0.0]])
     motions = Motions(cruise=ANY)
     tracks = follow(Tracks(), state, noise, 0.1, motions, patience)
@@ -134,7 +134,7 @@ def test_somebody_may_be_missing_for_as_long_as_there_is_patience(patience, gone
         assert tracks.mean[0, 0] == pytest.approx(2.0 * gone)
 
 
-def test_what_is_remembered_of_those_known_again_is_what_is_remembered_in_exact_scenes():
+def test_the_memory_of_recognised_vehicles_is_that_of_exact_scenes():
     base = gym.make("highway-fast-v0").unwrapped
     base.reset(seed=4)
     reader = SceneReader(base)
@@ -157,7 +157,7 @@ def test_what_is_remembered_of_those_known_again_is_what_is_remembered_in_exact_
 
 
 def _mistakes(places):
-    """How far two who drive 25 m apart in one lane are thought to be from where they are, through noise of 40 m."""
+    """Position error of two vehicles 25 m apart in one lane, through noise of 40 m."""
     rng, sigma, dt, found = np.random.default_rng(5), np.array([40.0, 2.4, 16.0, 16.0]), 0.2, []
     noise, motions = np.diag(sigma**2), Motions(centers=np.array([0.0, 4.0, 8.0]))
     for _ in range(20):
@@ -172,12 +172,12 @@ def _mistakes(places):
     return np.sqrt(np.mean(np.square(found)))
 
 
-def test_rows_that_are_sorted_say_who_is_who_where_what_they_show_does_not():
+def test_the_order_of_sorted_rows_identifies_vehicles_under_large_noise():
     assert _mistakes(places=True) < 0.7 * _mistakes(places=False)
 
 
-def test_nobody_is_taken_to_be_as_fast_as_a_bad_sensor_shows():
-    """A velocity through noise of 16 m/s says less than how fast somebody drives."""
+def test_the_speed_of_a_bad_sensor_is_weighed_against_the_prior():
+    """A velocity with noise of 16 m/s is less informative than the prior of driving speeds."""
     noise = np.diag(np.square([40.0, 2.4, 16.0, 16.0]))
     seen = np.array([[50.0, 4.0, 40.0, -12.0]])
     tracks = follow(Tracks(), seen, noise, 0.2, Motions())

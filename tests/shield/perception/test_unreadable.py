@@ -1,4 +1,4 @@
-"""Observations that cannot be read are answered with the labelled fallback, and what is clipped is said to be cut."""
+"""Unreadable observations lead to the labelled fallback, and clipped values are marked as cut."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("bad", BAD.values(), ids=BAD)
-def test_what_cannot_be_read_is_answered_with_the_labelled_fallback(bad):
+def test_an_unreadable_observation_leads_to_the_labelled_fallback(bad):
     known = Known.from_config(configured())
     with pytest.raises(SceneError):
         decode(known.spec, bad)
@@ -71,8 +71,8 @@ def test_a_batch_has_a_row_for_each_environment():
     obstacles=st.booleans(),
 )
 @settings(max_examples=20, deadline=None)
-def test_what_is_clipped_is_exact_or_said_to_be_cut(reach, fast, absolute, seed, turns, obstacles):
-    """Whoever is inside the ranges is decoded to 1e-5, or to what 32 bits leave; whoever is not is not made up."""
+def test_a_clipped_value_is_exact_or_marked_as_cut(reach, fast, absolute, seed, turns, obstacles):
+    """A vehicle inside the ranges is decoded to 1e-5, or to the precision of 32 bits; one outside is not invented."""
     ranges = {"x": [-reach, reach], "y": [-14.0, 16.0], "vx": [-fast, fast], "vy": [-20.0, 20.0]}
     if absolute:
         del ranges["x"]
@@ -98,7 +98,7 @@ def test_what_is_clipped_is_exact_or_said_to_be_cut(reach, fast, absolute, seed,
     apart = np.abs(sighting.others[:, None] - truth[known]) / allowed
     np.testing.assert_array_less(apart.max(axis=2).min(axis=0, initial=np.inf), 1.0)
     assert len(sighting.others) >= known.sum()
-    # A range of x that is shorter than sight ends it: nobody beyond is taken to be seen, or to be cut.
+    # A range of x shorter than sight ends it: vehicles beyond count neither as seen nor as cut.
     beyond = np.zeros(len(truth), bool) if absolute else np.abs(truth[:, 0]) > reach - 1e-3
     if not (known | beyond).all():
         assert sighting.cut or len(sighting.others) > known.sum()

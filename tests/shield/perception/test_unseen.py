@@ -1,4 +1,4 @@
-"""Who may be there unseen."""
+"""Vehicles that may be present unseen."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from shield.perception.spec import ObservationSpec
 from shield.perception.unseen import Behind, Unseen, ahead, edges
 
 
-def test_somebody_slow_may_be_beyond_the_last_row_in_every_lane():
+def test_a_slow_vehicle_may_be_beyond_the_last_row_in_every_lane():
     spec = ObservationSpec(rows=3)
     ego, others = np.array([100.0, 4.0, 0.0, 25.0]), np.array([[130.0, 4.0, 0.0, 20.0], [150.0, 8.0, 0.0, 12.0]])
     states = ahead(spec, 50.0, Unseen(slowest=15.0), ROAD, ego, others)
@@ -28,8 +28,8 @@ def test_somebody_slow_may_be_beyond_the_last_row_in_every_lane():
 
 
 @given(st.lists(st.tuples(st.floats(15, 30), st.floats(-3, 3)), min_size=1, max_size=40), st.floats(15, 28))
-def test_who_was_passed_is_never_nearer_than_it_is_thought_to_be(steps, speed):
-    """Whatever it does below the speed that is assumed, and whatever the ego does."""
+def test_a_passed_vehicle_is_never_nearer_than_its_bound(steps, speed):
+    """For any motion below the assumed speed, and any motion of the ego."""
     unseen, behind, nobody = Unseen(), Behind(), np.zeros((0, 3))
     behind.go_on(unseen, 10.0, 25.0, 0.0, nobody, nobody)
     behind.go_on(unseen, 10.0, 25.0, 0.2, np.array([[-10.5, 4.0, speed]]), nobody)
@@ -39,12 +39,12 @@ def test_who_was_passed_is_never_nearer_than_it_is_thought_to_be(steps, speed):
         place += (now - ego_speed) * 0.2
         behind.go_on(unseen, 10.0, ego_speed, 0.2, nobody, nobody)
         if place > -10.0:
-            return  # it is in sight
+            return  # in sight
         assert behind.passed[0, 0] >= place - 1e-9
         assert behind.passed[0, 0] <= -10.0
 
 
-def test_who_comes_back_into_sight_is_no_longer_unseen():
+def test_a_vehicle_back_in_sight_is_no_longer_unseen():
     unseen, behind, nobody = Unseen(), Behind(), np.zeros((0, 3))
     behind.go_on(unseen, 10.0, 25.0, 0.0, nobody, nobody)
     behind.go_on(unseen, 10.0, 25.0, 0.2, np.array([[-10.5, 4.0, 24.0], [-11.0, 8.0, 24.0]]), nobody)
@@ -53,7 +53,7 @@ def test_who_comes_back_into_sight_is_no_longer_unseen():
     assert behind.passed[:, 1].tolist() == [8.0]
 
 
-def test_in_the_worst_case_somebody_fast_is_right_behind():
+def test_the_worst_case_has_a_fast_vehicle_right_behind_the_ego():
     spec, perception = ObservationSpec(), PerceptionConfig(Unseen.worst())
     seen = np.zeros((5, 5))
     seen[0] = [1, 0.1, 4 / 16, 25 / 80, 0]
@@ -76,7 +76,7 @@ def test_assumptions_about_the_unseen_are_checked(bad):
         Unseen(**bad)
 
 
-def test_a_stranger_comes_nearer_as_fast_as_it_may():
+def test_an_unseen_vehicle_approaches_at_its_assumed_limit():
     unseen, behind, nobody = Unseen(fastest=30.0, room=100.0), Behind(), np.zeros((0, 3))
     behind.go_on(unseen, 10.0, 20.0, 0.0, nobody, nobody)
     for _ in range(20):
@@ -90,7 +90,7 @@ def test_a_stranger_comes_nearer_as_fast_as_it_may():
     assert behind.stranger == -10.0
 
 
-def test_shuffled_rows_of_too_many_say_nothing_of_who_is_left_out():
+def test_a_full_shuffled_observation_gives_no_edge():
     seen = np.zeros((3, 5))
     seen[:, 0], seen[1:, 1] = 1, [60.0, -40.0]
     known, shuffled = ObservationSpec(rows=3, see_behind=True), ObservationSpec(rows=3, see_behind=True, sorted=False)
@@ -100,7 +100,7 @@ def test_shuffled_rows_of_too_many_say_nothing_of_who_is_left_out():
     assert edges(shuffled, decode(shuffled, seen)) == (200.0, 200.0)
 
 
-def test_somebody_slow_beyond_the_edge_is_in_the_scene():
+def test_a_slow_vehicle_beyond_the_edge_is_in_the_scene():
     seen = np.zeros((2, 5))
     seen[:, 0], seen[0, 2:4], seen[1, 1:4] = 1, [4.0, 25.0], [50.0, 0.0, -3.0]
     spec, control = ObservationSpec(rows=2, see_behind=True), EgoControl(Target(1, 25.0))

@@ -29,7 +29,7 @@ from shield.perception.unwrapping import as_shown, latest
         lambda env: FrameStackObservation(FlattenObservation(env), 2),
     ],
 )
-def test_of_what_gymnasium_stacks_the_latest_is_read(wrap):
+def test_the_latest_of_stacked_observations_is_read(wrap):
     env, plain, found = wrap(make()), make(), []
     many = 3 if isinstance(env, FrameStackObservation) and len(env.observation_space.shape) == 3 else 2
     many = 1 if type(env) is FlattenObservation and env.observation_space.shape == (150,) else many
@@ -46,7 +46,7 @@ def test_of_what_gymnasium_stacks_the_latest_is_read(wrap):
     assert Known.of(remote)[0].stacked == many
 
 
-def test_what_normalisation_has_cut_off_is_not_known():
+def test_a_value_clipped_by_normalisation_is_unknown():
     inner = DummyVecEnv([make])
     world = VecNormalize(inner, clip_obs=0.5)
     inner.seed(0)
@@ -99,7 +99,7 @@ def test_wrappers_that_cannot_be_undone_are_refused():
 
 
 @given(st.integers(1, 4), st.sampled_from([(4, 5), (3, 2, 6)]), st.booleans(), st.booleans())
-def test_the_latest_is_the_last_whatever_the_shape(stacked, shape, flat, batch):
+def test_the_latest_observation_is_the_last_for_any_shape(stacked, shape, flat, batch):
     each = np.arange(stacked * math.prod(shape), dtype=float).reshape(stacked, *shape)
     shown = each if stacked > 1 else each[0]
     shown = shown.reshape(-1) if flat else shown

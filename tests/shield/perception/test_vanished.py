@@ -1,4 +1,4 @@
-"""A sensor that loses somebody within sight raises an alarm, and nothing is guaranteed while it lasts."""
+"""A sensor that loses a vehicle within sight raises an alarm, and nothing is guaranteed while it lasts."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -18,7 +18,7 @@ def made(duration=15, **config):
 
 
 def blind_from(env, frame):
-    """The sensor shows nobody from a simulation frame on."""
+    """The sensor shows no vehicle from this simulation frame on."""
     kind, base = env.unwrapped.observation_type, env.unwrapped
     inner = kind.observe
 
@@ -50,7 +50,7 @@ def without_leader(env, share, rng):
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_where_all_rows_become_empty_there_is_an_alarm_and_no_guarantee(seed):
+def test_an_observation_that_becomes_empty_raises_an_alarm_and_ends_the_guarantee(seed):
     """The ego crashed with `guarantee` "all vehicles seen" and without an alarm."""
     env = ShieldedEnv(made(), perception="observation")
     env.reset(seed=seed)
@@ -66,8 +66,8 @@ def test_where_all_rows_become_empty_there_is_an_alarm_and_no_guarantee(seed):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_leader_who_is_missed_now_and_then_is_remembered(seed):
-    """Three crashes of six: the ego drove at a leader who was not shown for a frame."""
+def test_a_leader_missing_in_some_frames_is_remembered(seed):
+    """Once three of six episodes crashed: the ego drove into a leader that was not shown for a frame."""
     env = ShieldedEnv(made(), perception="observation")
     env.reset(seed=seed)
     without_leader(env, 0.15, np.random.default_rng(seed))
@@ -85,8 +85,8 @@ def test_a_leader_who_is_missed_now_and_then_is_remembered(seed):
 @pytest.mark.parametrize(
     "config", [{}, {"vehicles_density": 2, "vehicles_count": 40}, {"observation": {"type": "Kinematics"}}]
 )
-def test_a_sensor_that_works_is_not_alarmed_about(config):
-    """Whoever leaves sight at an edge, or has no row left, has not vanished."""
+def test_a_working_sensor_raises_no_alarm(config):
+    """A vehicle that leaves sight at an edge, or has no row left, has not vanished."""
     env = ShieldedEnv(made(**{"duration": 20, **config}), perception="observation")
     for seed in range(2):
         env.reset(seed=seed)
@@ -97,7 +97,7 @@ def test_a_sensor_that_works_is_not_alarmed_about(config):
             assert not any(decision.alarm for decision in env.frame_decisions)
 
 
-def test_a_sensor_that_is_asked_once_a_decision_is_not_alarmed_about():
+def test_a_sensor_read_once_a_decision_raises_no_alarm():
     """A second passes between two observations."""
     env = made(20)
     obs, _ = env.reset(seed=3)
@@ -110,15 +110,15 @@ def test_a_sensor_that_is_asked_once_a_decision_is_not_alarmed_about():
         over = terminated or truncated
 
 
-def test_an_empty_road_is_not_taken_to_be_seen():
-    """Nobody has been shown since the reset: whether the sensor shows anybody at all is not known."""
+def test_an_empty_road_has_no_full_guarantee():
+    """No vehicle was shown since the reset, so whether the sensor works is unknown."""
     env = ShieldedEnv(made(vehicles_count=0), perception="observation")
     env.reset(seed=0)
     *_, info = env.step(3)
     assert info["shield"]["guarantee"] == "assumed"
 
 
-def test_who_has_vanished_may_be_anywhere_that_braking_and_accelerating_lead_to():
+def test_a_vanished_vehicle_may_be_anywhere_in_its_reachable_interval():
     """Until it is shown again, or may have left sight."""
     vanished, nobody = Vanished(), np.zeros((0, 2))
     vanished.go_on(np.array([[30.0, 4.0, 20.0]]), nobody, 0.0, (200.0, 200.0), 0.2)
@@ -136,7 +136,7 @@ def test_who_has_vanished_may_be_anywhere_that_braking_and_accelerating_lead_to(
     assert len(vanished) == 0
 
 
-def test_a_reset_forgets_who_has_vanished():
+def test_a_reset_forgets_vanished_vehicles():
     """The next episode begins without an alarm."""
     env = ShieldedEnv(made(), perception="observation")
     env.reset(seed=0)

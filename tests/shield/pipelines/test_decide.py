@@ -1,7 +1,7 @@
-"""A decision can be made again, bit for bit, from what it was made from: nothing is kept but in the memory.
+"""A decision can be repeated, bit for bit, from its memory, scene and proposal: no other state exists.
 
-2,000 recorded decisions (10,000 where it is asked for slow tests) are repeated in another order, by procedures that
-have decided nothing before.
+2,000 recorded decisions (10,000 with the slow tests) are repeated in another order, by procedures that have decided
+nothing before.
 """
 
 from __future__ import annotations
@@ -63,14 +63,14 @@ CASES = {
 
 
 def recorded(case, count, monkeypatch):
-    """Decisions as (memory, scene, proposal, which procedure), and what came of them."""
+    """Decisions as (memory, scene, proposal, procedure), and their results."""
     env, policy, again = case()
     found, own = [], Core.decide
 
     def record(self, scene, proposal, procedure=None):
         memory, used = self.memory, procedure or self.procedure
         if hasattr(proposal, "order") and callable(proposal.order):
-            # The order is asked for when it is needed, of the observation of that moment.
+            # The order is evaluated when it is needed, on the observation of that moment.
             proposal = type(proposal)(proposal.action, proposal.labels, proposal.order())
         decision = own(self, scene, proposal, procedure)
         found.append(((memory, scene, proposal), type(used).__name__, decision, self.memory))
@@ -90,7 +90,7 @@ def recorded(case, count, monkeypatch):
 
 
 def procedures(shielded):
-    """Those of a door, by name."""
+    """The procedures of a filter, by name."""
     doors = shielded._doors if isinstance(shielded, Shield) else [shielded._door]
     kinds = [door.core.procedure for door in doors] + [door._frames for door in doors if isinstance(door, MetaDoor)]
     return {type(each).__name__: each for each in kinds}

@@ -1,4 +1,4 @@
-"""Evasion of a violator: the evasion that is executed clears every other vehicle."""
+"""Evasion of a violator: the executed evasion clears every other vehicle."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from shield.pipelines import inputs as of_inputs
 
 
 def pressed(core, gap):
-    """The scene with one behind the ego in its buffer, and a leader so far ahead; and what is decided in it."""
+    """The scene with a vehicle in the ego's buffer from behind and a leader at this gap, and its decision."""
     cars = (-7.05, 0.0, 0.0, 18.0), (gap, 0.0, 0.0, 10.0)
     moved = [(x + v * DT, y, psi, v) for x, y, psi, v in cars]
     now = scene_of((15 * DT, 0, 0, 15), *moved, lanes=1, speed=30.0)
@@ -44,7 +44,7 @@ def test_an_evasion_of_a_violator_clears_all_other_vehicles(core):
 
 @pytest.mark.parametrize(("core", "procedure"), [(ShieldCore, of_frames), (ContinuousCore, of_inputs)])
 def test_every_candidate_evasion_clears_all_other_vehicles(core, procedure, monkeypatch):
-    """It is among what clears the others that the choice is made, however that is done."""
+    """The choice is made among inputs that clear the other vehicles."""
     monkeypatch.setattr(procedure, "least_bad_evasion", last_of_them)
     taken = []
     for gap in np.arange(12.0, 20.0, 0.07):
@@ -57,7 +57,7 @@ def test_every_candidate_evasion_clears_all_other_vehicles(core, procedure, monk
 
 
 def test_no_evasion_of_a_stopping_leader_blocks_the_vehicle_beside():
-    """The leader stops more abruptly than anybody may, and beside the ego another leaves more room or less."""
+    """The leader stops more abruptly than permitted; another vehicle beside the ego leaves more room or less."""
     tiers, sides = [], []
     for speed, gap in itertools.product((20.0, 24.0, 28.0), np.arange(8.0, 40.0, 0.2)):
         before = scene_of((0, 0, 0, 33), (44, 0, 0, 14), (gap, 4, 0, speed), lanes=2, speed=35.0)
@@ -75,8 +75,7 @@ def test_no_evasion_of_a_stopping_leader_blocks_the_vehicle_beside():
 @pytest.mark.parametrize("core", [ShieldCore, ContinuousCore])
 @pytest.mark.parametrize("gap", [44.0, 44.5])
 def test_a_violator_ahead_is_answered_with_the_hardest_braking(core, gap):
-    """Its leader stops more abruptly than anybody may; nothing is clear for good any more, and some inputs are for as
-    long as others."""
+    """The leader stops more abruptly than permitted; no input stays clear, and several are clear equally long."""
     shield = core()
     before = scene_of((0, 0, 0, 33), (gap, 0, 0, 14), lanes=1, speed=35.0)
     now = scene_of((33 * DT, 0, 0, 33), (gap + 6 * DT, 0, 0, 6), lanes=1, speed=35.0)

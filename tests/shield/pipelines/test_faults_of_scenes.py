@@ -1,4 +1,4 @@
-"""Whatever breaks in a scene or in a stage, nothing is verified by it, and the record says what happened."""
+"""A fault in a scene or in a stage verifies nothing, and the record says what happened."""
 
 import numpy as np
 import pytest
@@ -78,7 +78,7 @@ def test_a_state_that_breaks_between_two_decisions_is_noticed_at_that_frame(shie
     assert info["shield"]["frames_overridden"] == 3
 
 
-def test_after_a_broken_episode_the_next_one_is_as_good_as_new(shielded):
+def test_a_broken_episode_does_not_affect_the_next_one(shielded):
     corrupt(shielded, "ego", "speed", NAN)
     with np.errstate(all="ignore"):
         shielded.step(3)

@@ -1,4 +1,5 @@
-"""What a decision verifies is among what its first frame tries: no verified plan is lost between the two."""
+"""The verified plan of a decision is among the candidates of its first frame: no verified plan is lost between the
+two."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -43,7 +44,7 @@ class Placed(Vehicle):
 
 
 def driven(actions):
-    """The decisions and frames of an ego between two lanes, beside one that comes nearer from the right."""
+    """The decisions and frames of an ego between two lanes, with a vehicle that approaches from the right."""
     env = ShieldedEnv(gym.make("highway-v0", config=HIGHWAY), "worst-case")
     env.reset(seed=0)
     base = env.unwrapped
@@ -67,8 +68,8 @@ def driven(actions):
     return found
 
 
-def test_what_a_decision_verifies_its_first_frame_finds():
-    """An attacker's scene: the only plan that verified steered to a lane that the frame did not try any more."""
+def test_the_first_frame_finds_the_verified_plan_of_its_decision():
+    """A scene from an attack: the only verified plan steered to a lane that the frame did not try."""
     for decision, frames, _ in driven([RIGHT, LEFT]):
         assert decision.tier.verified or decision.reason is Reason.PRECAUTION
         assert frames[0].reason is not Reason.NO_SAFE_PLAN
@@ -99,7 +100,7 @@ def test_a_stored_plan_that_does_not_verify_has_no_guarantee():
     assert Decision(reason=Reason.PRECAUTION, margin=0.0, **common).guarantee is Guarantee.ALL_SEEN
 
 
-def test_an_ego_of_another_length_is_told():
+def test_an_ego_of_another_length_is_refused():
     """Plans are rolled out for a vehicle of 5 m."""
     env = ShieldedEnv(gym.make("highway-v0", config=HIGHWAY), "worst-case")
     env.reset(seed=0)

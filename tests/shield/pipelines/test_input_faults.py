@@ -1,4 +1,4 @@
-"""Whatever breaks, an unfiltered input does not reach the actuators, and the record says what happened."""
+"""After any fault, no unfiltered input reaches the actuators, and the record says what happened."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ CONTINUOUS = {
 
 
 class Actions:
-    """Notes what reaches the wheels: (acceleration, steering, tier) of each frame."""
+    """Records the inputs that reach the wheels: (acceleration, steering, tier) of each frame."""
 
     def __init__(self, env):
         self.env, self.base = env, env.unwrapped
@@ -139,7 +139,7 @@ def broken_scene(who: str, column: Vehicle, value: float) -> Scene:
 )
 @pytest.mark.parametrize("who", ["ego", "other"])
 @pytest.mark.parametrize("predictive", [False, True])
-def test_a_scene_that_is_not_finite_brakes_and_the_next_one_is_as_good_as_new(predictive, who, column, value):
+def test_a_scene_that_is_not_finite_brakes_and_does_not_affect_the_next_one(predictive, who, column, value):
     scene = random_continuous_world(np.random.default_rng(3), cars=4).scene()
     core, fresh = (ContinuousCore(ShieldConfig(), Actuators(), predictive) for _ in range(2))
     proposal = np.array([5.0, 0.02])
@@ -153,7 +153,7 @@ def test_a_scene_that_is_not_finite_brakes_and_the_next_one_is_as_good_as_new(pr
     assert after[1].tier is first[1].tier
 
 
-def test_with_only_another_vehicle_unreadable_the_ego_still_steers_to_its_lane():
+def test_the_ego_steers_to_its_lane_if_only_another_vehicle_is_unreadable():
     scene = broken_scene("other", Vehicle.X, NAN)
     scene = replace(scene, ego=scene.ego + np.array([0, 0, 0.2, 20.0 - scene.ego[Vehicle.SPEED], 0, 0, 0]))
     inputs, _ = ContinuousCore().filter(scene, np.array([5.0, 0.3]))
@@ -233,12 +233,12 @@ def test_a_stage_that_raises_is_labelled_and_the_next_step_is_clean(stage, monke
 
     with monkeypatch.context() as patch, Actions(env) as actions:
         patch.setattr(*stage, raising)
-        if stage[0] is PredictiveFilter:  # The plan is asked where the search finds nothing.
+        if stage[0] is PredictiveFilter:  # The plan is needed where the search finds nothing.
             patch.setattr(Search, "run", lambda self, lanes, *_: self._judge(self._proposal[None], lanes, False))
         for _ in range(60):
             frames, called = len(actions.seen), len(calls)
             *_, terminated, _, info = env.step(FULL)
-            if len(calls) > called:  # not every frame asks for every stage
+            if len(calls) > called:  # not every frame uses every stage
                 assert shown(info) == ("stage_failed", "emergency")
                 records = zip(actions.seen[frames:], env.frame_decisions, strict=True)
                 assert all(record.tier is Tier.PASSED or a <= 0 for (a, _), record in records)
@@ -285,7 +285,7 @@ def test_reset_forgets_everything_so_that_two_runs_are_bitwise_equal():
     assert first == second
 
 
-def test_a_policy_that_raises_brakes_at_the_other_door():
+def test_a_policy_that_raises_brakes_in_the_policy_wrapper():
     env = gym.make("highway-v0", config=CONTINUOUS)
     obs, _ = env.reset(seed=0)
 

@@ -1,4 +1,4 @@
-"""Throttle and steering: the buffer holds, the ego stays on the road, and what changes nothing changes nothing."""
+"""Throttle and steering: the buffer holds, the ego stays on the road, and symmetries change no decision."""
 
 from __future__ import annotations
 
@@ -61,13 +61,13 @@ def test_the_buffer_the_road_and_the_direction_hold_for_100_frames(seed: int, st
 
 @settings(SETTINGS, max_examples=8)
 @given(SEEDS, st.sampled_from(STYLES), MOODS)
-def test_they_hold_with_the_predictive_filter_in_the_repair(seed: int, style: str, mood: str) -> None:
+def test_buffer_and_road_hold_with_the_predictive_filter_in_the_repair(seed: int, style: str, mood: str) -> None:
     drive(seed, style, mood, 40, predictive=True)
 
 
 @settings(SETTINGS, max_examples=8)
 @given(SEEDS, st.sampled_from(STYLES), MOODS)
-def test_they_hold_for_what_is_nearest_by_acceleration(seed: int, style: str, mood: str) -> None:
+def test_buffer_and_road_hold_for_the_nearest_input_by_acceleration(seed: int, style: str, mood: str) -> None:
     drive(seed, style, mood, 60, norm="acceleration")
 
 
@@ -91,7 +91,7 @@ def test_nearest_by_acceleration_swerves_less() -> None:
 
 
 @pytest.mark.slow
-def test_long_searches_find_no_driver_and_no_traffic_that_break_them() -> None:
+def test_long_searches_find_no_intrusion_into_the_buffer() -> None:
     @settings(SETTINGS, max_examples=1000, phases=[Phase.generate, Phase.target])
     @given(SEEDS, st.sampled_from(STYLES), MOODS)
     def search(seed: int, style: str, mood: str) -> None:
@@ -133,8 +133,8 @@ def swerve(seed: int) -> ContinuousWorld:
 @SETTINGS
 @example(332)
 @given(SEEDS)
-def test_nobody_gives_way_to_an_ego_that_swerves(seed: int) -> None:
-    """332, found by the search: the plan was to cross the second lane and to come back to it."""
+def test_an_ego_that_swerves_does_not_count_on_followers(seed: int) -> None:
+    """Seed 332, found by a search: the plan was to cross the second lane and come back to it."""
     swerve(seed)
 
 
@@ -209,7 +209,7 @@ def test_mirroring_the_lanes_mirrors_the_wheel(seed: int, proposal: np.ndarray) 
         rows[Vehicle.HEADING] *= -1
     a = outcome(scene, proposal)
     b = outcome(replace(scene, ego=ego, others=others), proposal * [1.0, -1.0])
-    # Which of two lanes is tried first depends on the side, and with it the margin of what verifies in both.
+    # The order in which two lanes are tried depends on the side, and with it the margin of inputs that verify in both.
     assert a[1].fallback == b[1].fallback
     assert (a[1] is Tier.PASSED) == (b[1] is Tier.PASSED)
 
@@ -231,10 +231,10 @@ def test_a_larger_buffer_never_verifies_more(seed: int, proposal: np.ndarray, lo
     st.sampled_from([1 / 20, 0.1, 1 / 15]),
     st.lists(st.tuples(st.floats(-5, 5), st.floats(-1, 1)), min_size=30, max_size=30),
 )
-def test_on_an_empty_road_whoever_keeps_to_a_lane_is_left_alone(
+def test_a_driver_that_keeps_its_lane_on_an_empty_road_is_never_overridden(
     lanes: int, speed: float, dt: float, wishes: list[tuple[float, float]]
 ) -> None:
-    """Any acceleration, and any wheel that keeps the body a wheel's width inside the lane: zero interventions."""
+    """For any acceleration, and any steering that keeps the body a wheel's width inside the lane."""
     road, core = StraightRoad.from_lanes(lanes), core_of()
     ego, control = np.array([0.0, 0.0, 0.0, speed]), EgoControl(Target(0, 25.0))
     for a, turn in wishes:

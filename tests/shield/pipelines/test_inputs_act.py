@@ -1,4 +1,4 @@
-"""The shield acts on throttle and steering: who drives into the leader without it does not with it."""
+"""The shield intervenes on throttle and steering: a policy that rams its leader without the shield does not with it."""
 
 from __future__ import annotations
 
@@ -62,14 +62,14 @@ def drive(policy, seed: int, shielded: bool, duration: int = 15) -> tuple[bool, 
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_unshielded_it_rams_its_leader(seed: int) -> None:
+def test_the_unshielded_ego_rams_its_leader(seed: int) -> None:
     crashed, *_ = drive(ramming, seed, shielded=False)
     assert crashed
 
 
 @pytest.mark.parametrize("policy", [ramming, throttle, at_random])
 @pytest.mark.parametrize("seed", [0, *later(1, 2)])
-def test_shielded_it_is_overridden_and_neither_crashes_nor_leaves_the_road(policy, seed: int) -> None:
+def test_the_shielded_ego_is_overridden_and_neither_crashes_nor_leaves_the_road(policy, seed: int) -> None:
     crashed, off, overridden, speed = drive(policy, seed, shielded=True)
     assert not crashed
     assert not off
@@ -80,7 +80,7 @@ def test_shielded_it_is_overridden_and_neither_crashes_nor_leaves_the_road(polic
 
 @pytest.mark.slow
 @pytest.mark.parametrize("policy", [ramming, throttle, at_random])
-def test_over_twenty_long_episodes_it_neither_crashes_nor_leaves_the_road(policy) -> None:
+def test_twenty_long_shielded_episodes_neither_crash_nor_leave_the_road(policy) -> None:
     for seed in range(100, 120):
         crashed, off, *_ = drive(policy, seed, shielded=True, duration=40)
         assert not crashed, seed
@@ -88,8 +88,8 @@ def test_over_twenty_long_episodes_it_neither_crashes_nor_leaves_the_road(policy
 
 
 @pytest.mark.parametrize("kind", ["racetrack-v0", "racetrack-oval-v0"])
-def test_through_the_actions_alone_it_stays_on_a_curved_road(kind: str) -> None:
-    """A policy at random with a throttle and a wheel, filtered at its decisions (5 Hz) within its own ranges."""
+def test_a_filter_of_actions_alone_keeps_the_ego_on_a_curved_road(kind: str) -> None:
+    """A random policy with throttle and steering, filtered at its decisions (5 Hz) within its own ranges."""
 
     class Random:
         def predict(self, observation, state=None, episode_start=None, deterministic=False):
@@ -114,8 +114,8 @@ def test_through_the_actions_alone_it_stays_on_a_curved_road(kind: str) -> None:
 
 @pytest.mark.parametrize(("kind", "config"), [("highway-v0", {**CONFIG, "policy_frequency": 5}), ("racetrack-v0", {})])
 @pytest.mark.parametrize("policy", ["throttle", "random", "weave"])
-def test_what_was_verified_is_what_happens(kind: str, config: dict, policy: str) -> None:
-    """At every frame the ego is where the verified plan of the frame before has it, whatever was overridden between."""
+def test_the_ego_drives_the_verified_inputs(kind: str, config: dict, policy: str) -> None:
+    """In every frame the ego is where the verified plan of the frame before predicted it, with or without overrides."""
     env = ShieldedEnv(gym.make(kind, config=config), "worst-case")
     rng, size = np.random.default_rng(0), env.action_space.shape[0]
     seen: list[tuple[np.ndarray, np.ndarray | None]] = []

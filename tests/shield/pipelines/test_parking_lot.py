@@ -1,4 +1,4 @@
-"""In a parking lot: nothing that is executed brings the ego nearer than the clearance, and a stop is always there."""
+"""In a parking lot: no executed input brings the ego nearer than the clearance, and a stop always exists."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def core_of(period, clearance=0.1):
 
 
 def admits_a_plan(core, lot):
-    """Whether braking with some wheel angle verifies: that is found whatever is proposed."""
+    """Whether braking with some wheel angle verifies; this does not depend on the proposal."""
     brake = float(core.brake(lot)[0])
     wheels = np.linspace(-1, 1, 13) * np.pi / 4
     return bool((core.judge(lot, np.stack([np.full(13, brake), wheels], axis=1)).margin >= 1e-6).any())
@@ -47,7 +47,7 @@ def drive(core, lot, driver, period, decisions):
         proposal = ACTUATORS.physical(ACTUATORS.read(driver.act(lot, k)))
         inputs, decision = core.filter(lot, proposal)
         if period is not None and decision.tier is not Tier.PASSED:
-            # Through the actions nothing else can be carried out than what single precision holds.
+            # Through actions alone only values of single precision can be executed.
             inputs = ACTUATORS.physical(ACTUATORS.normalised(inputs))
         lots = [lot]
         for _ in range(hold):
@@ -58,12 +58,12 @@ def drive(core, lot, driver, period, decisions):
 
 @settings(deadline=None, max_examples=40)
 @given(SEEDS, STYLES, CLEARANCE, st.sampled_from([None, 3, 15]))
-def test_from_a_verified_state_nothing_ever_comes_nearer(seed, style, clearance, period):
+def test_no_body_comes_nearer_than_the_clearance_after_a_verified_state(seed, style, clearance, period):
     rng = np.random.default_rng(seed)
     lot, driver, core = random_lot(rng), Driver(rng, style), core_of(period, clearance)
     assume(admits_a_plan(core, lot))
     for proposal, inputs, decision, lots in drive(core, lot, driver, period, 16):
-        # The stop of the frame before is always there: nothing is ever taken without a certificate.
+        # The stop of the frame before always exists: no input is executed without a certificate.
         assert decision.tier.verified or decision.tier is Tier.STORED_PLAN
         assert core.stored is not None
         if decision.tier is Tier.PASSED:
@@ -71,13 +71,13 @@ def test_from_a_verified_state_nothing_ever_comes_nearer(seed, style, clearance,
         for after in lots[1:]:
             gap, coming = clearance_of(after)
             assert gap >= clearance - 1e-6
-            assert coming > 0  # which highway-env would count as a crash
+            assert coming > 0  # otherwise highway-env would count a crash
 
 
 @settings(deadline=None, max_examples=60)
 @given(SEEDS, STYLES, st.sampled_from([None, 3]))
-def test_the_stop_that_was_verified_can_be_driven_from_any_frame(seed, style, period):
-    """Induction: brake from now on, as a core does whose policy has failed, and end at rest and clear."""
+def test_the_verified_stop_can_be_driven_from_any_frame(seed, style, period):
+    """Induction: brake from now on, as after a failure of the policy, and end at rest and clear."""
     rng = np.random.default_rng(seed)
     lot, driver, core = random_lot(rng), Driver(rng, style), core_of(period)
     assume(admits_a_plan(core, lot))
@@ -114,7 +114,7 @@ def test_the_margin_is_that_of_the_plan(seed, style):
 
 
 @pytest.mark.parametrize("style", Driver.STYLES)
-def test_where_braking_with_some_wheel_verifies_something_that_verifies_is_executed(style):
+def test_a_verified_input_is_executed_if_braking_with_some_wheel_angle_verifies(style):
     found = 0
     for seed in range(250):
         rng = np.random.default_rng(seed)
@@ -145,7 +145,7 @@ def test_a_repair_is_about_as_near_as_the_nearest_on_a_fine_grid(seed):
     assert np.hypot(*((inputs - proposal) / spans)) <= 1.1 * nearest + 0.08
 
 
-def test_far_from_everything_whatever_is_proposed_passes_bit_for_bit():
+def test_every_proposal_far_from_obstacles_passes_bit_for_bit():
     core = core_of(None)
     for proposal in ACTUATORS.physical(np.random.default_rng(0).uniform(-1, 1, (50, 2))):
         inputs, decision = core.filter(at(-10.0), proposal)
@@ -156,7 +156,7 @@ def test_far_from_everything_whatever_is_proposed_passes_bit_for_bit():
 
 @pytest.mark.parametrize("way", [1, -1])
 @pytest.mark.parametrize("period", [None, 3])
-def test_it_comes_up_to_the_clearance_and_not_further(way, period):
+def test_the_ego_comes_up_to_the_clearance_and_not_further(way, period):
     turned = replace(OPEN, ego=np.array([WALL_AT - 0.6, 0, 0 if way > 0 else np.pi, 0, 5, 2]))
 
     class Ram:
@@ -195,10 +195,10 @@ def test_reset_forgets():
         assert np.array_equal(core.filter(lot, proposal)[0], fresh.filter(lot, proposal)[0])
 
 
-# -- what fails closed ----------------------------------------------------------------------------------------------
+# -- fallbacks -------------------------------------------------------------------------------------------------------
 
 
-def test_without_a_plan_to_begin_with_the_record_says_so():
+def test_a_start_without_a_verified_plan_is_recorded():
     core, lot = core_of(None), at(WALL_AT + 0.2, 0.0)
     inputs, decision = core.filter(lot, np.array([5.0, 0.0]))
     assert (decision.reason, decision.tier) == (Reason.NO_SAFE_PLAN, Tier.LARGEST_MARGIN)
@@ -208,7 +208,7 @@ def test_without_a_plan_to_begin_with_the_record_says_so():
 
 
 @pytest.mark.parametrize("speed", [6.0, -6.0])
-def test_something_that_moves_makes_it_brake_against_the_velocity(speed):
+def test_a_moving_body_makes_the_ego_brake_against_its_velocity(speed):
     core, lot = core_of(None), at(0.0, speed)
     core.filter(lot, np.array([0.0, 0.2]))
     moving = replace(lot, obstacles=lot.obstacles + np.array([0, 0, 0, 1.0, 0, 0]))
@@ -225,7 +225,7 @@ def test_something_that_moves_makes_it_brake_against_the_velocity(speed):
 
 @pytest.mark.parametrize("column", range(6))
 @pytest.mark.parametrize("who", ["ego", "obstacles"])
-def test_what_is_not_finite_brakes_with_finite_inputs(who, column):
+def test_a_lot_that_is_not_finite_brakes_with_finite_inputs(who, column):
     value = getattr(OPEN, who).copy()
     value[..., column] = np.nan
     inputs, decision = core_of(None).filter(replace(at(0.0, 3.0), **{who: value}), np.array([5.0, 0.3]))
@@ -235,13 +235,13 @@ def test_what_is_not_finite_brakes_with_finite_inputs(who, column):
 
 
 @pytest.mark.parametrize("speed", [40.5, -40.5, 1e12])
-def test_faster_than_the_bicycle_is_known_for_nothing_is_certified(speed):
+def test_no_plan_is_verified_above_the_speed_limit_of_the_bicycle_model(speed):
     inputs, decision = core_of(None).filter(at(-500.0, speed), np.zeros(2))
     assert (decision.reason, decision.tier) == (Reason.BAD_SCENE, Tier.EMERGENCY)
     assert inputs[0] * speed < 0
 
 
-def test_nothing_passes_that_would_get_faster_than_the_bicycle_is_known_for():
+def test_no_input_passes_that_exceeds_the_speed_limit_of_the_bicycle_model():
     lot = at(-500.0, 39.9)
     assert core_of(None).filter(lot, np.array([0.0, 0.0]))[1].tier is Tier.PASSED
     inputs, decision = core_of(None).filter(lot, np.array([5.0, 0.0]))
@@ -270,7 +270,7 @@ def test_rules_for_meta_actions_are_refused(mode):
         LotCore(ShieldConfig(mode=mode))
 
 
-def test_without_a_wheel_the_repair_leaves_it_alone():
+def test_the_repair_does_not_steer_without_a_steering_input():
     core = LotCore(ShieldConfig(), Actuators(lateral=False), period=3)
     lot = at(WALL_AT - 0.5, 1.0)
     inputs, decision = core.filter(lot, np.array([5.0, 0.0]))

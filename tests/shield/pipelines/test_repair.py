@@ -1,4 +1,4 @@
-"""The ways to mend a frame of a meta-action keep the same promise, and differ in what they keep of the intent."""
+"""The repairs of a frame of a meta-action keep the same guarantee, and differ in how much of the proposal they keep."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from shield.errors import ConfigError
 @pytest.mark.parametrize("repair", ["filter"])
 @settings(deadline=None, max_examples=12, suppress_health_check=list(HealthCheck))
 @given(seed=st.integers(0, 10_000))
-def test_the_buffer_holds_however_a_frame_is_mended(repair: str, seed: int) -> None:
+def test_the_buffer_holds_for_every_repair_of_a_frame(repair: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
     world = random_world(rng, ShieldConfig(repair=repair))
     if world.core.decide(world.scene(), 1).tier.fallback:
@@ -34,7 +34,7 @@ def test_the_buffer_holds_however_a_frame_is_mended(repair: str, seed: int) -> N
         assert world.kept()
 
 
-def test_a_repair_that_there_is_not_is_refused() -> None:
+def test_an_unknown_repair_is_refused() -> None:
     with pytest.raises(ConfigError, match="valid are hold, filter"):
         ShieldConfig(repair="swerve")
 

@@ -1,4 +1,5 @@
-"""What users put around a shield, and inside: it is filtered as without, or refused where it is handed in."""
+"""Wrappers around a shield, and inside: actions are filtered as without them, or construction refuses the
+combination."""
 
 import pickle
 
@@ -23,7 +24,7 @@ def faster(observation):
 
 
 def driven(env, predict=faster, seed=0):
-    """What is observed and paid, step by step, and how many frames the shield had to change."""
+    """Observations and rewards, step by step, and the number of frames that the shield changed."""
     observation, _ = env.reset(seed=seed)
     steps, frames, done = [], 0, False
     while not done:
@@ -63,7 +64,7 @@ def test_frames_that_a_shield_supervises_cannot_be_watched():
         env.step(3)
 
 
-def test_after_a_supervised_decision_frames_are_compiled_again():
+def test_frames_are_compiled_again_after_a_supervised_decision():
     env = CompiledFrames(gym.make("merge-v0"))
     env.reset(seed=0)
     Shield(faster, env=env, config=WORST_CASE).predict(np.zeros((5, 5)))
@@ -90,22 +91,22 @@ def test_a_wrapper_that_changes_actions_is_refused_inside(config):
 
 
 class _Stubborn(gym.Wrapper):
-    """Changes what is done, and is no `ActionWrapper`."""
+    """Changes actions without being an `ActionWrapper`."""
 
     def step(self, action):
         return self.env.step(3)
 
 
 @pytest.mark.parametrize("config", [WORST_CASE, EXACT])
-def test_another_action_than_the_one_that_was_verified_is_found_out(config):
+def test_another_action_than_the_verified_one_is_detected(config):
     env = ShieldedEnv(_Stubborn(gym.make("merge-v0")), config)
     env.reset(seed=0)
     with pytest.raises(ConfigError, match=r"given action 3 and not 4"):
         env.step(4)
 
 
-def test_no_margin_is_known_of_what_ends_in_a_crash():
-    """The ego is hit in the first decision, whatever it does; before that it was said to have an infinite margin."""
+def test_a_decision_that_ends_in_a_crash_has_no_margin():
+    """The ego is hit in the first decision by any action; its record once had an infinite margin."""
     env = ShieldedEnv(gym.make("two-way-v0"), EXACT)
     env.reset(seed=250002798)
     *_, info = env.step(3)
@@ -115,9 +116,8 @@ def test_no_margin_is_known_of_what_ends_in_a_crash():
     assert np.isnan(info["shield_episode"]["margin"])
 
 
-def test_no_margin_is_known_before_a_crash_that_cannot_be_avoided():
-    """All that may be done here ends in a crash in the third decision, which the first two told a margin of 10.7 m
-    before."""
+def test_no_margin_is_recorded_before_an_unavoidable_crash():
+    """Every action ends in a crash in the third decision; the first two once had a margin of 10.7 m."""
     env = ShieldedEnv(gym.make("intersection-v0", config={"action": {"type": "DiscreteMetaAction"}}), EXACT)
     env.reset(seed=5)
     env.action_space.seed(5)
@@ -182,7 +182,7 @@ def test_a_shield_around_a_shield_is_refused():
         Shield(Shield(faster, env=env), env=env)
 
 
-def test_many_environments_are_not_for_a_shielded_env():
+def test_shielded_env_refuses_a_vector_environment():
     many = DummyVecEnv([lambda: gym.make("merge-v0")])
     with pytest.raises(ConfigError, match=r"DummyVecEnv.*put the shield inside"):
         ShieldedEnv(many)

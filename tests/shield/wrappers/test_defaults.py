@@ -1,4 +1,4 @@
-"""The settings that a shield takes by itself: the strongest verification whose promise holds where it is put."""
+"""The default settings of a shield: the strongest verification whose guarantee holds in the environment."""
 
 import logging
 
@@ -26,7 +26,7 @@ NETWORKS = ("merge-v0", "exit-v0", "roundabout-v1", "two-way-v0", "u-turn-v1", "
 
 
 def idle(env):
-    """An action of the environment that asks for nothing."""
+    """An action of the environment that changes nothing."""
     space = env.action_space
     if isinstance(space, gym.spaces.Tuple):
         return tuple(1 for _ in space)
@@ -49,8 +49,8 @@ def idle(env):
         ("parking-v0", {}, Verification.STANDING),
     ],
 )
-def test_what_each_environment_is_verified_against_by_default(env_id, config, kind):
-    """`info`, the episode's records and both wrappers name the same."""
+def test_the_default_verification_of_each_environment(env_id, config, kind):
+    """`info`, the records of the episode and both wrappers name the same one."""
     env = ShieldedEnv(gym.make(env_id, **({"config": config} if config else {})))
     env.reset(seed=0)
     *_, info = env.step(idle(env))
@@ -69,9 +69,9 @@ def test_what_each_environment_is_verified_against_by_default(env_id, config, ki
 
 
 @pytest.mark.parametrize("env_id", ["highway-fast-v0", "merge-v0", "roundabout-v1", "intersection-v0"])
-def test_without_frames_the_traffic_is_simulated(env_id):
-    """Networks were refused, as the worst case holds the ego back between two decisions. On a highway the worst case
-    looked 4 s ahead, and crashed."""
+def test_the_traffic_is_simulated_without_supervised_frames(env_id):
+    """Networks were refused once, since the worst case holds the ego back between two decisions. On a highway the
+    worst case looked 4 s ahead, and crashed."""
     env = gym.make(env_id)
     obs, _ = env.reset(seed=0)
     shield = Shield(lambda observation: 1, env, frames=False)
@@ -95,8 +95,8 @@ def test_settings_by_name():
         ShieldedEnv(gym.make("merge-v0"), "worst")
 
 
-def test_unknown_traffic_is_told_at_construction(caplog):
-    """One warning: what is promised, why it is not simulated, and how to choose; for known traffic no warning."""
+def test_unknown_traffic_is_warned_of_at_construction(caplog):
+    """One warning: the guarantee, why the traffic is not simulated, and the choices. For known traffic no warning."""
     with caplog.at_level(logging.INFO, "shield"):
         ShieldedEnv(gym.make("merge-v0"))
         assert not [each for each in caplog.records if each.levelno > logging.INFO]
@@ -135,8 +135,8 @@ def test_each_of_several_environments_has_its_own_settings():
     assert [shield.report(i)["verification"] for i in range(2)] == [kind.value for kind in kinds]
 
 
-def test_settings_that_forget_the_road_are_told(caplog):
-    """`ShieldConfig(record=True)` on a network of roads takes the worst case of a straight highway, in place of the
+def test_settings_of_another_road_are_warned_of(caplog):
+    """`ShieldConfig(record=True)` on a road network selects the worst case of a straight highway, in place of the
     default there."""
     with caplog.at_level(logging.WARNING, "shield"):
         for config in (
@@ -152,7 +152,7 @@ def test_settings_that_forget_the_road_are_told(caplog):
     assert "ShieldConfig.simulated_traffic().replace" in caplog.text
 
 
-def test_records_and_tables_name_what_actions_are_verified_against():
+def test_records_and_tables_name_the_verification():
     for setting, kind in (("roundabout", Verification.SIMULATED), ("highway-fast", Verification.WORST_CASE)):
         setting = get_setting(setting)
         modes = ["none", "full", *(["ttc"] if setting.name == "highway-fast" else [])]

@@ -1,7 +1,6 @@
-"""Models and networks on every device that this machine has: the CPU, and a GPU where PyTorch sees one.
+"""Models and networks on every device of this machine: the CPU, and a GPU if PyTorch sees one.
 
-SB3 loads a model to the GPU by default where there is one, so that each place that reads a network has to move what it
-hands in and what it gets back.
+SB3 loads a model to the GPU by default, so each reader of a network has to move its inputs and results.
 """
 
 import gymnasium as gym

@@ -1,4 +1,5 @@
-"""Whatever a policy does, the unfiltered action does not reach the environment, and the record says what happened."""
+"""After any fault of a policy, the unfiltered action does not reach the environment, and the record says what
+happened."""
 
 import numpy as np
 import pytest
@@ -53,7 +54,7 @@ def test_shield_returns_no_bad_action(action, spy):
 
 
 @pytest.mark.parametrize("action", [NAN, 99])
-def test_after_a_verified_decision_a_bad_action_plays_the_stored_plan(action, spy):
+def test_a_bad_action_after_a_verified_decision_executes_the_stored_plan(action, spy):
     obs, _ = spy.reset(seed=0)
     policy = Policy(1)
     shield = Shield(policy, env=spy)
@@ -69,7 +70,7 @@ def test_after_a_verified_decision_a_bad_action_plays_the_stored_plan(action, sp
     "error", [RuntimeError("boom"), ValueError("bad"), MemoryError()], ids=lambda e: type(e).__name__
 )
 @pytest.mark.parametrize("batched", [False, True])
-def test_a_policy_that_raises_does_not_take_the_car_with_it(error, batched, spy):
+def test_a_policy_that_raises_leads_to_the_fallback(error, batched, spy):
     obs, _ = spy.reset(seed=0)
     shield = Shield(Policy(error), env=spy)
     executed, _ = shield.predict(obs[None] if batched else obs)
@@ -98,7 +99,7 @@ def test_an_interrupt_is_not_swallowed(spy):
         Shield(Interrupted(), env=spy).predict(spy.reset(seed=0)[0])
 
 
-def test_one_bad_row_of_a_batch_spoils_no_other():
+def test_a_bad_row_of_a_batch_does_not_affect_other_rows():
     from stable_baselines3.common.vec_env import DummyVecEnv
 
     vec = DummyVecEnv([spied, spied])

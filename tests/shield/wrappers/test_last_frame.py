@@ -1,4 +1,4 @@
-"""An offence in the last frame of an episode is told with that very step, and once."""
+"""A violation in the last frame of an episode is reported in that step, once."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def jumps(at):
 @pytest.mark.parametrize("hz", [5, 15])
 @pytest.mark.parametrize("period", [1, 5])
 @pytest.mark.parametrize("door", ["env", "policy"])
-def test_an_offence_that_ends_the_episode_is_told(hz, period, door):
-    """The leader is put onto the ego in the last frame of a decision."""
+def test_a_violation_that_ends_the_episode_is_reported(hz, period, door):
+    """The leader is moved onto the ego in the last frame of a decision."""
     last = 2 * period - 1
     out = drive(lambda road: [Driven(road, 40.0, 1, 25.0, jumps(last))], hz, period, seconds=4.0, door=door)
     assert out.verified
@@ -35,8 +35,8 @@ def test_an_offence_that_ends_the_episode_is_told(hz, period, door):
 
 
 @pytest.mark.parametrize("door", ["env", "policy"])
-def test_an_offence_is_told_once(door):
-    """The leader is faster for a moment than it may get, and nobody suffers from it."""
+def test_a_violation_is_reported_once(door):
+    """The leader is faster for a moment than permitted, without consequences."""
 
     def act(own, frame):
         own.speed += {3: 5.0, 4: -5.0}.get(frame, 0.0)
@@ -56,8 +56,8 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("door", ["env", "policy"])
-def test_it_is_told_whatever_is_verified_and_how(case, door):
-    """Somebody is put onto the ego by hand in an episode's last frame."""
+def test_a_violation_in_the_last_frame_is_reported_for_every_verification(case, door):
+    """A vehicle is moved onto the ego in the last frame of an episode."""
     name, config, shield = CASES[case]
     env = gym.make(name, config={"policy_frequency": 15, **config}, disable_env_checker=True)
     action = 1 if "action" not in config else np.zeros(2, np.float32)

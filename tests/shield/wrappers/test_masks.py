@@ -1,4 +1,4 @@
-"""To ask which actions verify changes neither what is decided nor what is reported, behind every door that answers."""
+"""An action mask changes no decision and no report, in every wrapper that has masks."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ WORLDS = {
 
 
 def told(env_id, shield, asks, within=False):
-    """What is reported of an episode in which others are pushed now and then, the offences by rule in the end, and what
-    the last decision went by. Masks are asked for before each step, and `within` it before each frame."""
+    """The reports of an episode in which vehicles are pushed now and then, its violations by rule, and the basis of
+    the last decision. Masks are requested before each step, and with `within` before each frame."""
     env, reports = ShieldedEnv(gym.make(env_id), shield), []
     env.reset(seed=4)
     if within:
@@ -43,13 +43,13 @@ def told(env_id, shield, asks, within=False):
 
 
 @pytest.mark.parametrize("world", WORLDS)
-def test_who_asks_for_masks_is_told_the_same(world):
+def test_masks_before_each_step_change_no_report(world):
     reports, violations, *rest = told(*WORLDS[world], asks=False)
     assert violations > 0
     assert told(*WORLDS[world], asks=True) == (reports, violations, *rest)
 
 
 @pytest.mark.parametrize("world", ["certificate", "network", "right of way"])
-def test_masks_that_are_asked_for_within_a_step_change_nothing(world):
-    """On networks the paths that a mask tries took the place of the one that the decision had chosen."""
+def test_masks_within_a_step_change_no_report(world):
+    """On networks, the paths tried for a mask once replaced the path of the decision."""
     assert told(*WORLDS[world], asks=False, within=True) == told(*WORLDS[world], asks=False)

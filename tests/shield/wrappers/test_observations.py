@@ -1,4 +1,4 @@
-"""What the policy sees makes no difference to the shield: it reads the simulator's state."""
+"""The policy's observation does not affect the shield, which reads the simulator's state."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ROADS = {"highway-fast-v0": ShieldConfig(), "roundabout-v1": EXACT, "intersectio
 
 
 def ways(env_id, config, seen):
-    """Where the ego goes behind either door, always faster."""
+    """The ego's path in both wrappers, always faster."""
     envs = [gym.make(env_id, config={"observation": SEEN[seen]}) for _ in range(2)]
     action = envs[0].unwrapped.action_type.actions_indexes["FASTER"]
     wrapped, shield = ShieldedEnv(envs[0], config), Shield(lambda obs: action, envs[1], config)
@@ -45,12 +45,12 @@ def ways(env_id, config, seen):
 
 @pytest.mark.parametrize("env_id", ROADS)
 @pytest.mark.parametrize("seen", ["lidar", "image", "grid"])
-def test_the_shield_does_what_it_does(env_id, seen):
+def test_the_observation_does_not_change_the_driven_path(env_id, seen):
     assert np.array_equal(ways(env_id, ROADS[env_id], seen), ways(env_id, ROADS[env_id], "state"))
 
 
 @pytest.mark.parametrize("seen", ["lidar", "image"])
-def test_a_model_of_what_is_seen_is_wrapped(seen):
+def test_a_model_of_each_observation_can_be_wrapped(seen):
     env = gym.make("roundabout-v1", config={"observation": SEEN[seen]})
     policy = "MlpPolicy" if seen == "lidar" else "CnnPolicy"
     kwargs = {} if seen == "lidar" else {"policy_kwargs": {"features_extractor_kwargs": {"features_dim": 8}}}

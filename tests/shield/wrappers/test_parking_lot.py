@@ -1,4 +1,4 @@
-"""Both doors of the shield in highway-env's parking lots: what is parked is not hit, and parking still succeeds."""
+"""Both wrappers in highway-env's parking lots: parked vehicles are not hit, and parking still succeeds."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ DOORS = {door: make_variants(["full"], [door])[0] for door in ("env", "policy")}
 
 
 class Random:
-    """Somebody who presses the pedals at random, and remembers what was asked for."""
+    """Random inputs, with a record of the proposals."""
 
     def __init__(self, seed=0):
         self.rng, self.asked = np.random.default_rng(seed), []
@@ -54,7 +54,7 @@ def lot_env(seed=0, config=None, **changes):
 
 @pytest.mark.parametrize("door", DOORS)
 @pytest.mark.parametrize("seed", [1, *later(4)])
-def test_full_throttle_crashes_bare_and_never_behind_the_shield(door, seed):
+def test_full_throttle_crashes_without_the_shield_and_never_with_it(door, seed):
     assert run_episode(SHORT, Always(FULL), BARE, seed=seed).crashed
     record = run_episode(SHORT, Always(FULL), DOORS[door], seed=seed)
     assert not record.crashed
@@ -85,7 +85,7 @@ def test_a_planner_parks_behind_the_shield_as_it_does_without(door, name):
         assert (shielded.return_, shielded.steps) == (bare.return_, bare.steps)
 
 
-def test_what_passes_is_the_policys_own_array_and_a_learned_planner_can_be_wrapped():
+def test_an_action_that_passes_is_the_policys_own_array_and_a_planner_can_be_wrapped():
     env = gym.make("parking-v0", config={"vehicles_count": 10})
     observation, _ = env.reset(seed=11)
     policy = Random()
@@ -120,7 +120,7 @@ def test_the_clearance_is_a_setting(clearance):
     assert 0 <= least < 0.2
 
 
-def test_a_parked_vehicle_that_drives_off_is_a_violation_and_the_ego_brakes():
+def test_a_parked_vehicle_that_drives_off_is_a_violator_and_the_ego_brakes():
     env = lot_env()
     for _ in range(5):
         env.step(FULL)
@@ -223,7 +223,7 @@ def test_several_cars_are_refused():
         ShieldedEnv(gym.make("parking-v0", config={"controlled_vehicles": 2}))
 
 
-def test_a_shield_without_a_brake_is_refused_and_one_at_every_frame_is_not():
+def test_actions_without_a_brake_are_refused_unless_every_frame_is_supervised():
     config = {"action": {"type": "ContinuousAction", "longitudinal": False}}
     with pytest.raises(ConfigError, match="cannot brake"):
         Shield(Random(), gym.make("parking-v0", config=config), frames=False)

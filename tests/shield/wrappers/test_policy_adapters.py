@@ -1,4 +1,5 @@
-"""What `Shield` takes from a policy and gives in its place; and what of the policy can be reached through it."""
+"""The policies that `Shield` accepts, the actions that it returns, and the attributes of the policy that it passes
+on."""
 
 import gymnasium as gym
 import numpy as np
@@ -43,7 +44,7 @@ class Returns:
 
 
 def drive(kind, action, door, config=None, steps=6):
-    """What a policy of this one action gets executed: the records of each step, and whether a crash came of it."""
+    """Drive a policy of one constant action: the records of each step, and whether the ego crashed."""
     env = make(duration=steps, **CONFIGS[kind])
     shielded = ShieldedEnv(env, config) if door == "env" else None
     shield = None if shielded is not None else Shield(Returns(action), env, config)
@@ -87,8 +88,9 @@ def test_lists_and_tuples_are_actions_as_arrays_are(kind, form, door):
 @pytest.mark.parametrize("door", ["env", "policy"])
 @pytest.mark.parametrize("wrong", WRONG)
 @pytest.mark.parametrize("kind", EAGER)
-def test_what_is_no_action_gets_the_documented_fallback(kind, wrong, door):
-    """`Shield` raised a ConfigError at actions of another shape, and `ShieldedEnv` fell back on `bad_action`."""
+def test_an_invalid_action_gets_the_documented_fallback(kind, wrong, door):
+    """`Shield` once raised a ConfigError for actions of another shape, while `ShieldedEnv` fell back on
+    `bad_action`."""
     records, crashed = drive(kind, WRONG[wrong], door, ShieldConfig(patience=0), steps=3)
     assert {record.reason for record in records} <= {Reason.BAD_ACTION, Reason.POLICY_FAILED}
     assert all(record.overridden or record.tier.fallback for record in records)
@@ -96,7 +98,7 @@ def test_what_is_no_action_gets_the_documented_fallback(kind, wrong, door):
 
 
 @pytest.mark.parametrize("kind", ["meta", "inputs"])
-def test_of_several_environments_each_row_is_judged_by_itself(kind):
+def test_each_row_of_several_environments_is_judged_by_itself(kind):
     vec = DummyVecEnv([lambda: make(duration=6, **CONFIGS[kind])] * 2)
     good = 1 if kind == "meta" else [0.0, 0.0]
     shield = Shield(lambda observation: [good, None], vec, ShieldConfig(patience=0))
@@ -109,8 +111,8 @@ def test_of_several_environments_each_row_is_judged_by_itself(kind):
         Shield(lambda observation: [good] * 3, vec).predict(vec.reset())
 
 
-def test_learning_behind_a_shield_is_refused_and_what_is_named_instead_works():
-    """`Shield(model).learn()` trained the model without the shield, by delegation, and said nothing."""
+def test_learning_behind_a_shield_is_refused_and_the_named_remedy_works():
+    """`Shield(model).learn()` once trained the model without the shield, by delegation and without a warning."""
     env = make()
     model = PPO("MlpPolicy", env, n_steps=8, batch_size=8, device="cpu")
     shielded = Shield(model, env=env)
@@ -133,7 +135,7 @@ def test_a_callback_of_an_environment_without_a_shield_says_so():
         PPO("MlpPolicy", mixed, n_steps=8, batch_size=8, device="cpu").learn(8, callback=ShieldCallback())
 
 
-def test_what_is_reached_of_the_policy_is_named():
+def test_attributes_of_the_policy_are_passed_on_or_refused_by_name():
     env = make(duration=3)
     model = PPO("MlpPolicy", env, n_steps=8, batch_size=8, device="cpu")
     shielded = Shield(model, env=env)

@@ -1,4 +1,4 @@
-"""What a step says: of actions that are none, and of episodes that a wrapper outside ends."""
+"""Reports of a step: invalid actions, and episodes that an outer wrapper ends."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_an_episode_that_has_ended_by_itself_is_summed_up_once():
     assert "shield_episode" not in info
 
 
-def test_in_a_vector_environment_the_summary_comes_with_the_reset():
+def test_the_summary_of_a_vector_environment_comes_with_the_reset():
     env = DummyVecEnv([lambda: TimeLimit(ShieldedEnv(gym.make("highway-fast-v0")), 2)])
     env.seed(0)
     env.reset()

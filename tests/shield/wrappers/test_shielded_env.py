@@ -1,4 +1,4 @@
-"""`ShieldedEnv` fits where users of Gymnasium and Stable-Baselines3 would put it."""
+"""`ShieldedEnv` works in the places where users of Gymnasium and Stable-Baselines3 put an environment."""
 
 import pickle
 import warnings
@@ -66,7 +66,7 @@ def test_the_spec_rebuilds_the_shielded_environment(config):
 
 
 class Uncopied(Always):
-    """Holds what cannot be copied, as a model with environments in other processes does."""
+    """Holds an object that cannot be copied, as a model with environments in other processes does."""
 
     def __deepcopy__(self, memo):
         raise TypeError("cannot be copied")
@@ -127,7 +127,7 @@ def test_maskable_ppo_learns_with_its_masks():
     assert model_of("MaskablePPO", env).learn(64).num_timesteps == 64
 
 
-def test_a_masked_action_is_one_that_would_be_overridden():
+def test_a_masked_action_would_be_overridden():
     env, disagreed = ShieldedEnv(make(duration=15)), 0
     for seed in range(3):
         env.reset(seed=seed)
@@ -182,7 +182,7 @@ def test_two_runs_on_one_seed_are_equal_to_the_bit(env_id):
     assert_bitwise(*runs)
 
 
-def test_a_second_episode_is_not_coloured_by_the_first():
+def test_a_second_episode_does_not_depend_on_the_first():
     env = ShieldedEnv(make(duration=15))
     env.reset(seed=1)
     for _ in range(6):
@@ -191,14 +191,14 @@ def test_a_second_episode_is_not_coloured_by_the_first():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_without_a_mode_it_is_the_bare_environment(seed):
+def test_a_shielded_env_of_mode_none_is_the_unshielded_environment(seed):
     config = ShieldConfig(mode="none")
     shielded = record(ShieldedEnv(make(duration=20), config), playing, seed)
     assert_bitwise(shielded, record(make(duration=20), playing, seed), shield=False)
     assert {row[5]["tier"] for row in shielded[1:]} == {"off"}
 
 
-def test_where_nothing_is_overridden_it_is_the_bare_environment():
+def test_an_episode_without_an_override_is_that_of_the_unshielded_environment():
     compared = 0
     for seed in range(6):
         config = {"duration": 20, "vehicles_density": 0.3, "vehicles_count": 8}

@@ -1,4 +1,5 @@
-"""`Shield(policy)` between the policy and an environment that it reads: which one, and for how long."""
+"""`Shield(policy)` between the policy and an environment that it reads: the choice of the environment, and its
+lifetime."""
 
 import copy
 import pickle
@@ -24,7 +25,7 @@ CONTINUOUS = {"action": {"type": "ContinuousAction"}}
 
 
 def driven(env, act, seed):
-    """What comes of an episode: rewards, and what the shield reported."""
+    """Rewards and shield reports of an episode."""
     obs, _ = env.reset(seed=seed)
     out, done = [], False
     while not done:
@@ -36,7 +37,7 @@ def driven(env, act, seed):
 
 @pytest.mark.parametrize("config", [{}, CONTINUOUS], ids=["meta", "inputs"])
 @pytest.mark.parametrize("seed", range(3))
-def test_it_drives_exactly_as_the_shielded_environment_does(config, seed):
+def test_the_policy_wrapper_drives_exactly_as_the_environment_wrapper(config, seed):
     actions = np.random.default_rng(seed)
     plan = [actions.uniform(-1, 1, 2).astype(np.float32) if config else int(actions.integers(5)) for _ in range(12)]
     env = gym.make("highway-fast-v0", config={"duration": 12, **config})
@@ -67,20 +68,20 @@ def test_always_faster_does_not_crash_between_two_decisions():
         assert not env.unwrapped.vehicle.crashed
 
 
-def test_another_environment_than_the_one_that_is_driven_is_noticed(tmp_path):
+def test_an_environment_other_than_the_driven_one_is_detected(tmp_path):
     trained, driven = make(duration=20), make(duration=20)
     model = PPO("MlpPolicy", trained, n_steps=8, batch_size=8, device="cpu")
     model.save(tmp_path / "model.zip")
     shield = Shield(PPO.load(tmp_path / "model.zip", env=trained, device="cpu"))
     obs, _ = driven.reset(seed=0)
     action, _ = shield.predict(obs)
-    shield.predict(obs)  # to ask twice about the same is no driving
+    shield.predict(obs)  # a second call with the same observation is no step
     obs, *_ = driven.step(int(action))
     with pytest.raises(SceneError, match=r"Shield\(model, env=env\)"):
         shield.predict(obs)
 
 
-def test_one_of_several_that_stands_still_is_noticed():
+def test_an_environment_of_several_that_is_not_stepped_is_detected():
     vec = DummyVecEnv([make, make])
     shield = Shield(Always(1), env=vec)
     obs = vec.reset()
@@ -107,7 +108,7 @@ def test_a_copy_of_the_environment_is_not_supervised():
     assert shield.frame_decisions[0]
 
 
-def test_reset_takes_the_hand_off_the_vehicle():
+def test_reset_releases_the_vehicle():
     env = make()
     shield = Shield(Always(3), env=env)
     obs, _ = env.reset(seed=0)
@@ -150,7 +151,7 @@ class Broken:
         raise RuntimeError("weights are gone")
 
 
-def test_a_policy_that_fails_on_and_on_is_an_error_and_said_once(caplog):
+def test_a_policy_that_keeps_failing_is_an_error_and_warned_of_once(caplog):
     env = make(duration=100, policy_frequency=5)
     shield = Shield(Broken(), env=env, config=ShieldConfig(patience=4))
     obs, _ = env.reset(seed=0)
@@ -185,12 +186,12 @@ def test_a_scene_that_cannot_be_read_is_an_error_after_a_while(door, monkeypatch
 
 
 @pytest.mark.parametrize("patience", [-1, 2.5, True, "7"])
-def test_patience_is_a_number_of_decisions(patience):
+def test_the_failure_limit_is_a_number_of_decisions(patience):
     with pytest.raises(ConfigError, match="whole number of decisions"):
         ShieldConfig(patience=patience)
 
 
-# -- what is handed in as a policy ------------------------------------------------------------------------------
+# -- accepted policies -------------------------------------------------------------------------------------------
 
 
 class Old:
@@ -212,7 +213,7 @@ DOORS = [lambda p, env: Shield(p, env=env), lambda p, env: ShieldedEnv(env, poli
     ],
     ids=["number", "path", "class", "signature"],
 )
-def test_what_is_no_policy_is_refused(door, policy, message):
+def test_an_object_that_is_no_policy_is_refused(door, policy, message):
     if policy is PPO:
         policy = type("PPO", (), {})  # one without a predict of its own
     with pytest.raises(PolicyError, match=message):
@@ -259,10 +260,10 @@ def test_a_models_own_normalisation_is_applied_before_it_ranks():
     assert normalised(Always(3), obs) is obs
 
 
-# -- what is counted --------------------------------------------------------------------------------------------
+# -- statistics ----------------------------------------------------------------------------------------------------
 
 
-def test_a_shield_counts_what_it_has_done():
+def test_the_statistics_of_a_shield_are_those_of_its_reports():
     env = make(duration=8)
     shield, reports = Shield(Always(3), env=env), []
     for seed in range(2):
@@ -304,7 +305,7 @@ def test_an_episodes_last_info_sums_it_up():
         assert episode["overridden"] > 0
 
 
-def test_a_training_run_logs_what_the_shield_does(tmp_path):
+def test_a_training_run_logs_the_interventions_of_the_shield(tmp_path):
     model = PPO("MlpPolicy", ShieldedEnv(make()), n_steps=32, batch_size=32, device="cpu")
     model.set_logger(configure(str(tmp_path), ["csv"]))
     model.learn(64, callback=ShieldCallback())

@@ -1,4 +1,4 @@
-"""A shield follows an environment that is configured otherwise before a reset."""
+"""A shield follows an environment that is reconfigured before a reset."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -51,9 +51,9 @@ def drive(env, inputs, decisions):
         if not (case[0] == "parking-v0" and settings == "simulated")  # nothing is simulated in parking lots
     ],
 )
-def test_an_environment_configured_before_a_reset_is_driven_as_one_made_so(env_id, action, new, settings):
-    """Simulated meta-actions on straight highways kept the simulator of the old configuration: each decision had
-    `bad_scene`."""
+def test_an_environment_reconfigured_before_a_reset_is_driven_as_a_new_one(env_id, action, new, settings):
+    """With simulated meta-actions on straight highways the simulator once kept the old configuration: each decision
+    had `bad_scene`."""
     inputs = action["type"] == "ContinuousAction"
     env = ShieldedEnv(gym.make(env_id, config={"action": action}), SETTINGS[settings])
     env.reset(seed=1)
@@ -67,7 +67,7 @@ def test_an_environment_configured_before_a_reset_is_driven_as_one_made_so(env_i
 
 @pytest.mark.parametrize("frames", [True, False])
 @pytest.mark.parametrize("new", [{"lanes_count": 5}, *FREQUENCIES, OF_META[0]])
-def test_shield_follows_too(new, frames):
+def test_the_policy_wrapper_follows_a_reconfigured_environment(new, frames):
     """The same around the policy."""
     env = gym.make("highway-fast-v0")
     env.reset(seed=1)
@@ -80,7 +80,7 @@ def test_shield_follows_too(new, frames):
 
 
 @pytest.mark.parametrize("env_id", ["highway-fast-v0", "merge-v1"])
-def test_where_frequencies_change_within_an_episode_the_simulator_does_too(env_id):
+def test_the_simulator_follows_frequencies_that_change_within_an_episode(env_id):
     """highway-env reads them at each step."""
     env = ShieldedEnv(gym.make(env_id), ShieldConfig.simulated_traffic())
     env.reset(seed=1)
@@ -91,8 +91,9 @@ def test_where_frequencies_change_within_an_episode_the_simulator_does_too(env_i
 
 
 @pytest.mark.parametrize("settings", SETTINGS)
-def test_where_highway_env_takes_an_action_late_the_step_is_refused(settings):
-    """It takes actions at frames that the frames of a decision divide: the others do not reach the ego in time."""
+def test_a_step_whose_action_highway_env_applies_late_is_refused(settings):
+    """highway-env applies actions at frames whose number the frames of a decision divide; others would reach the ego
+    late."""
     env = ShieldedEnv(gym.make("highway-fast-v0"), SETTINGS[settings])
     env.reset(seed=1)
     env.step(1)

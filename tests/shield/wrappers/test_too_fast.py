@@ -1,4 +1,5 @@
-"""An ego whose meta-actions cannot stop it before a crossing is told at construction, with a remedy that works."""
+"""An ego whose meta-actions cannot stop it before a crossing leads to a warning at construction, with a remedy that
+works."""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ CROSSING = {
 
 
 def warnings(caplog, env_id, config, door, settings=None):
-    """What is said of an ego that cannot stop, and the environment."""
+    """The warnings about an ego that cannot stop, and the environment."""
     env = gym.make(env_id, config=config)
     caplog.clear()
     with caplog.at_level(logging.INFO, "shield"):
@@ -40,8 +41,8 @@ def warnings(caplog, env_id, config, door, settings=None):
     ("env_id", "door"),
     [(each, door) for each in CROSSING for door in ("env", "policy") if door == "env" or "multi" not in each],
 )
-def test_it_is_told_once_and_the_remedy_helps(env_id, door, caplog):
-    """The configuration that the warning names is built from its text; with it nothing is said and nobody crashes."""
+def test_an_ego_that_cannot_stop_is_warned_of_once_and_the_remedy_helps(env_id, door, caplog):
+    """The configuration that the warning names is built from its text; with it there is no warning and no crash."""
     (said,), _ = warnings(caplog, env_id, CROSSING[env_id], door)
     assert "slowest target speed is 20 m/s" in said
     remedy = ast.literal_eval(said.split("config=")[1].removesuffix(" to gym.make"))
@@ -75,7 +76,7 @@ def test_it_is_told_once_and_the_remedy_helps(env_id, door, caplog):
         ("intersection-v1", META, ShieldConfig(mode="none")),
     ],
 )
-def test_it_is_told_only_where_it_matters(env_id, config, settings, door, caplog):
-    """No ways cross there, or the ego can stop, or nothing is verified."""
+def test_an_ego_that_can_stop_or_meets_no_crossing_is_not_warned_of(env_id, config, settings, door, caplog):
+    """No lanes cross there, or the ego can stop, or nothing is verified."""
     said, _ = warnings(caplog, env_id, config, door, settings)
     assert not said

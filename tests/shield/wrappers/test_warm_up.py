@@ -1,4 +1,4 @@
-"""No decision waits for a compiler: everything that it needs is compiled when the door is made, and that is said."""
+"""No decision waits for a compiler: all its kernels are compiled when the wrapper is made, and a message says so."""
 
 import logging
 import re
@@ -85,7 +85,7 @@ assert overridden and before and compiled() == before, compiled() - before
         pytest.param(LOOK_AHEAD.replace("{env_id}", "highway-fast-v0"), id="exact", marks=pytest.mark.slow),
     ],
 )
-def test_nothing_is_compiled_once_the_door_is_there(drive):
+def test_nothing_is_compiled_once_the_wrapper_is_made(drive):
     done = subprocess.run([sys.executable, "-c", COMPILED + drive], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]
 
@@ -116,7 +116,7 @@ assert asked and before and compiled() == before, compiled() - before
     ],
 )
 def test_no_explanation_in_simulated_traffic_reads_a_kernel(env_id, inputs, part):
-    """Compiled ahead by `shield warm`, the kernels are read when the door is made, and not when somebody asks."""
+    """Compiled ahead by `shield warm`, the kernels are read when the wrapper is made, and not at an explanation."""
     PARTS[part]()
     code = COMPILED + EXPLAIN.replace("{env_id}", env_id).replace("{inputs}", str(inputs))
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
@@ -142,7 +142,7 @@ def told(caplog):
     return [each.getMessage() for each in caplog.records if "compiling kernels" in each.getMessage()]
 
 
-def test_it_says_once_what_it_waits_for_where_that_takes_long(slow_machine, caplog):
+def test_a_long_compilation_is_announced_once(slow_machine, caplog):
     with caplog.at_level(logging.WARNING, "shield"), compiling.announced("a part"):
         for _ in range(3):
             trigger("numba:compile")
@@ -150,7 +150,7 @@ def test_it_says_once_what_it_waits_for_where_that_takes_long(slow_machine, capl
     assert said.startswith("compiling kernels (a part): about 40 s, once after installation; `shield warm`")
 
 
-def test_a_part_that_was_not_measured_is_told_as_such(slow_machine, caplog):
+def test_a_part_without_measured_times_is_announced_as_such(slow_machine, caplog):
     with caplog.at_level(logging.WARNING, "shield"), compiling.announced("another"), trigger_event("numba:compile"):
         pass
     (said,) = told(caplog)
@@ -158,7 +158,7 @@ def test_a_part_that_was_not_measured_is_told_as_such(slow_machine, caplog):
 
 
 @pytest.mark.parametrize(("units", "compiles"), [(20.0, False), (0.0, True), (0.5, True)])
-def test_it_says_nothing_where_kernels_are_read_or_compiled_soon(slow_machine, monkeypatch, caplog, units, compiles):
+def test_reading_kernels_or_a_short_compilation_is_not_announced(slow_machine, monkeypatch, caplog, units, compiles):
     monkeypatch.setattr(compiling, "estimated_units", lambda part: units)
     event = trigger_event("numba:compile") if compiles else nullcontext()
     with caplog.at_level(logging.WARNING, "shield"), compiling.announced("a part"), event:
@@ -166,8 +166,9 @@ def test_it_says_nothing_where_kernels_are_read_or_compiled_soon(slow_machine, m
     assert told(caplog) == []
 
 
-def test_of_two_processes_that_compile_at_the_same_time_one_speaks(slow_machine, caplog):
-    """The workers of `shield evaluate` printed it twice. (A lock is of an open file: one process can hold two.)"""
+def test_one_of_two_compiling_processes_makes_the_announcement(slow_machine, caplog):
+    """The workers of `shield evaluate` once printed it twice. (A lock belongs to an open file: one process can hold
+    two.)"""
     other = compiling._only_speaker()
     assert other is not None
     for spoken, lock in ((0, other), (1, nullcontext())):
@@ -186,8 +187,8 @@ def test_the_progress_is_shown_on_a_terminal(slow_machine, monkeypatch):
     assert "compiling kernels (a part): 2 of about 40 s" in shown.getvalue()
 
 
-def test_every_part_has_measured_times_of_kernels_that_there_are():
-    """Where this fails, `python benchmarks/compile_times.py --write` measures them anew."""
+def test_every_part_has_measured_times_of_existing_kernels():
+    """If this fails, `python benchmarks/compile_times.py --write` measures them anew."""
     source = "".join(Path(module.__file__).read_text(encoding="utf-8") for module in (warm_doors, warm_parts, warm_up))
     said = set(re.findall(r'"((?:worst case|simulated|compiled) [a-z, ]+)"', source))
     assert compiling.compile_units().keys() == said == PARTS.keys()
@@ -210,7 +211,7 @@ def test_kernels_that_are_on_the_disk_do_not_count(monkeypatch):
     assert compiling.estimated_units(part) == units > 0
 
 
-def test_a_command_compiles_all_ahead(monkeypatch, capsys):
+def test_a_command_compiles_all_kernels_ahead(monkeypatch, capsys):
     made = []
     monkeypatch.setattr(warm_parts, "PARTS", {"one": lambda: made.append(1), "two": lambda: made.append(2)})
     warm_command()
@@ -222,8 +223,8 @@ def test_a_command_compiles_all_ahead(monkeypatch, capsys):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", ["worst case on highways", "simulated networks"])
-def test_the_estimate_is_true_within_thirty_percent(part):
-    """CPU seconds with nothing on the disk: told 15 s, it took 46; told 30, it took 109."""
+def test_the_estimate_is_correct_within_thirty_percent(part):
+    """CPU seconds with no kernel on the disk. The estimate was once 15 s for 46 s, and 30 s for 109 s."""
     done = subprocess.run([sys.executable, str(BENCHMARK), part], capture_output=True, text=True, check=True)
     found = re.search(r": ([\d.]+) s of CPU, estimated ([\d.]+) s", done.stdout)
     took, estimated = map(float, found.groups())

@@ -1,4 +1,4 @@
-"""`Shield` fits where users of Stable-Baselines3 would put it."""
+"""`Shield` works in the places where users of Stable-Baselines3 put a model."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -43,7 +43,7 @@ def test_every_discrete_algorithm_is_filtered_in_its_own_environment(name, model
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_evaluate_policy_takes_the_shield_for_a_model(name, models):
+def test_evaluate_policy_accepts_the_shield_as_a_model(name, models):
     model = models[name]
     returns, lengths = evaluate_policy(
         Shield(model), model.get_env(), n_eval_episodes=2, return_episode_rewards=True, warn=False
@@ -69,7 +69,7 @@ def test_a_single_observation_gives_a_single_action(env, models):
     assert batch[0] == action
 
 
-def test_a_bare_policy_and_an_object_with_predict(env, models):
+def test_an_sb3_policy_and_an_object_with_predict_are_wrapped(env, models):
     obs, _ = env.reset(seed=0)
     bare = models["DQN"].policy
     assert isinstance(bare, BasePolicy)
@@ -78,7 +78,7 @@ def test_a_bare_policy_and_an_object_with_predict(env, models):
         assert env.action_space.contains(int(action))
 
 
-def test_a_model_without_an_environment_is_told_what_to_pass(tmp_path, models):
+def test_a_model_without_an_environment_is_refused_with_the_argument_to_pass(tmp_path, models):
     models["PPO"].save(tmp_path / "model.zip")
     alone = PPO.load(tmp_path / "model.zip", device="cpu")
     with pytest.raises(ConfigError, match=r"pass Shield\(policy, env=env\)"):
@@ -122,7 +122,7 @@ def test_a_batch_of_continuous_actions_is_filtered_row_by_row():
         obs, *_ = venv.step(actions)
 
 
-def test_what_was_verified_leaves_as_it_is_even_where_the_policy_speaks_in_whole_numbers():
+def test_verified_inputs_are_not_rounded_if_the_policy_returns_integers():
     env = make(action={"type": "ContinuousAction"}, simulation_frequency=10, policy_frequency=5)
     env.reset(seed=0)
     shielded = Shield(Always(np.array([1, 1])), env=env)
@@ -140,12 +140,12 @@ def test_speed_limits_of_another_kind_are_refused():
     "door", [lambda env, config: Shield(Always(np.zeros(2)), env, config), ShieldedEnv], ids=["policy", "env"]
 )
 @pytest.mark.parametrize("env_id", BY_SIMULATION)
-def test_where_inputs_are_for_simulation_the_refusal_says_so_and_it_serves(env_id, door):
+def test_the_refusal_of_inputs_names_simulated_traffic_and_that_works(env_id, door):
     env = gym.make(env_id, config=BY_SIMULATION[env_id])
     with pytest.raises(ShieldError, match=r"ShieldedEnv\(env, ShieldConfig\.exact\(\)\)") as refusal:
         door(env, "worst-case")
     assert len(str(refusal.value)) < 700
-    # What highway-env does not make, or what is refused next, is not named.
+    # Neither an option that highway-env lacks nor one refused next is named.
     assert 'dynamical": False' not in str(refusal.value)
     for config in (ShieldConfig.simulated_traffic(), None):
         shielded = ShieldedEnv(env, config)
@@ -162,7 +162,7 @@ class OwnSteps(ExitEnv):
 
 
 @pytest.mark.parametrize("dynamical", [False, True])
-def test_where_simulation_is_refused_too_it_is_not_named(dynamical):
+def test_simulated_traffic_is_not_named_as_a_remedy_if_it_is_refused_too(dynamical):
     env = OwnSteps({"action": {"type": "ContinuousAction", "dynamical": dynamical}})
     with pytest.raises(ConfigError, match="a way of its own"):
         ShieldedEnv(env, ShieldConfig.simulated_traffic())
@@ -171,7 +171,7 @@ def test_where_simulation_is_refused_too_it_is_not_named(dynamical):
     assert "exact" not in str(refusal.value)
 
 
-def test_who_asks_for_tyres_that_slip_may_leave_them_out_too():
+def test_the_refusal_of_slipping_tyres_names_the_setting_without_them():
     action = {"type": "ContinuousAction", "dynamical": True}
     for env_id, simulated in (("highway-fast-v0", True), ("parking-v0", False)):
         with pytest.raises(ConfigError, match='"dynamical": False') as refusal:
@@ -179,7 +179,7 @@ def test_who_asks_for_tyres_that_slip_may_leave_them_out_too():
         assert ("ShieldConfig.simulated_traffic()" in str(refusal.value)) is simulated
 
 
-def test_the_other_door_has_no_masks_for_continuous_actions():
+def test_shielded_env_has_no_masks_for_continuous_actions():
     env = ShieldedEnv(make(action={"type": "ContinuousAction"}))
     env.reset(seed=0)
     with pytest.raises(ConfigError, match="DiscreteMetaAction"):
@@ -189,13 +189,13 @@ def test_the_other_door_has_no_masks_for_continuous_actions():
 
 
 @pytest.mark.parametrize("policy", [None, 3, object(), "ppo"])
-def test_what_has_no_predict_is_refused(policy, env):
+def test_an_object_without_predict_is_refused(policy, env):
     with pytest.raises(PolicyError, match=r"has no predict\(\); pass an SB3 model"):
         Shield(policy, env=env)
 
 
 @pytest.mark.parametrize("door", [lambda env: Shield(Always(0), env=env), ShieldedEnv], ids=["policy", "env"])
-def test_what_is_no_highway_is_refused(door):
+def test_an_environment_that_is_not_of_highway_env_is_refused(door):
     with pytest.raises(ConfigError, match=r"CartPoleEnv is not a highway-env environment.*roundabouts.* and parking"):
         door(gym.make("CartPole-v1"))
     with pytest.raises(ConfigError, match=r"got ShieldConfig; settings go to config="):
@@ -218,7 +218,7 @@ def test_attributes_of_the_model_are_reached_through_the_shield(models):
 
 
 class Recurrent:
-    """Counts its steps in its state; remembers what it was given."""
+    """Counts its steps in its state, and records its arguments."""
 
     def __init__(self):
         self.given = []
@@ -264,7 +264,7 @@ def test_two_environments_are_filtered_row_by_row_and_auto_reset_forgets():
                 other.predict(obs)
                 assert same(other.last_decisions[i], shielded.last_decisions[i])
         obs, _, dones, _ = vec.step(action)
-        # From an episode's start on, the shield decides as one that has seen nothing before.
+        # From an episode start on, the shield decides like a new one.
         fresh = [Shield(Always(3), vec, "worst-case", frames=False) if dones[i] else fresh[i] for i in range(2)]
     assert None not in fresh
 
@@ -288,7 +288,7 @@ def test_wrapped_vector_environments():
 
 @pytest.mark.parametrize("count", [1, 3])
 def test_several_environments_need_one_action_each(count):
-    """Which action is whose would be a guess: the error is the programmer's."""
+    """The assignment of actions to environments would be a guess, so this is a programming error."""
     envs = DummyVecEnv([lambda: gym.make("highway-fast-v0")] * 2)
     obs = envs.reset()
     with pytest.raises(ConfigError, match=f"{count} actions for 2 environments"):
@@ -303,7 +303,7 @@ def test_two_actions_for_one_environment_are_no_action(env):
     assert shield.last_decision.tier.fallback
 
 
-def test_environments_in_other_processes_are_told_where_to_put_the_shield():
+def test_the_refusal_of_other_processes_names_the_place_of_the_shield():
     class Remote:
         num_envs = 2
 

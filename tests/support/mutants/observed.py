@@ -14,7 +14,7 @@ _TRACKING, _KERNELS = "shield.perception.tracking", "shield.perception.filter_ke
 _UNSEEN, _PERCEIVING = "shield.perception.unseen", "shield.perception.perceiving"
 _LEARNED, _MONITOR = "shield.perception.learned", "shield.perception.sensor_monitor"
 _LEARNED_TESTS = "tests/shield/perception/test_learned.py"
-_CHANGED = f"{_LEARNED_TESTS}::test_a_sensor_that_has_changed_is_answered_with_the_widest_bounds_and_no_guarantee"
+_CHANGED = f"{_LEARNED_TESTS}::test_a_changed_sensor_gets_the_widest_bounds_and_no_guarantee"
 _FRAMES = "shield.pipelines.frames"
 _BODIES, _MEMORY = "shield.perception.bodies", "shield.certificate.road.memory"
 
@@ -25,7 +25,7 @@ OBSERVED = (
         "Behind.states",
         "_ > -_",
         "False",
-        f"{_UNSEEN_TESTS}::test_a_stranger_comes_nearer_as_fast_as_it_may",
+        f"{_UNSEEN_TESTS}::test_an_unseen_vehicle_approaches_at_its_assumed_limit",
         which=1,
     ),
     off(
@@ -34,7 +34,7 @@ OBSERVED = (
         "Behind.go_on",
         "_ += (_ - _) * _",
         "pass",
-        f"{_UNSEEN_TESTS}::test_a_stranger_comes_nearer_as_fast_as_it_may",
+        f"{_UNSEEN_TESTS}::test_an_unseen_vehicle_approaches_at_its_assumed_limit",
     ),
     off(
         "who was passed stands still",
@@ -42,7 +42,7 @@ OBSERVED = (
         "Behind.go_on",
         "_[:, 0] += (_[:, 2] - _) * _",
         "{1}[:, 0] -= {3} * {4}",
-        f"{_UNSEEN_TESTS}::test_who_was_passed_is_never_nearer_than_it_is_thought_to_be",
+        f"{_UNSEEN_TESTS}::test_a_passed_vehicle_is_never_nearer_than_its_bound",
     ),
     off(
         "everybody is shown where all rows are full",
@@ -50,7 +50,7 @@ OBSERVED = (
         "edges",
         "_, _ = (min(_, _), min(_, _))",
         "pass",
-        f"{_DECODING_TESTS}::test_what_is_decoded_is_the_simulator_s_truth",
+        f"{_DECODING_TESTS}::test_a_decoded_observation_is_the_state_of_the_simulator",
     ),
     off(
         "a sensor sees as far as highway-env shows",
@@ -83,7 +83,7 @@ OBSERVED = (
         "edges",
         "not _ or _",
         "{2}",
-        f"{_UNSEEN_TESTS}::test_shuffled_rows_of_too_many_say_nothing_of_who_is_left_out",
+        f"{_UNSEEN_TESTS}::test_a_full_shuffled_observation_gives_no_edge",
     ),
     off(
         "nobody slow is beyond the edge",
@@ -91,7 +91,7 @@ OBSERVED = (
         "ObservationPerception._ghosts",
         "_([_(_, _, _, _, _, _), _])",
         "{9}",
-        f"{_UNSEEN_TESTS}::test_somebody_slow_beyond_the_edge_is_in_the_scene",
+        f"{_UNSEEN_TESTS}::test_a_slow_vehicle_beyond_the_edge_is_in_the_scene",
     ),
     off(
         "bodies reach no further than they are thought to be",
@@ -99,7 +99,7 @@ OBSERVED = (
         "_lengthen",
         "_[_, _] += _[_, 0] - _[_, 0]",
         "pass",
-        f"{_NOISE_TESTS}::test_what_is_late_is_taken_to_where_it_is_by_now",
+        f"{_NOISE_TESTS}::test_a_delayed_observation_is_extrapolated_to_the_present",
     ),
     off(
         "speeds are what they are thought to be",
@@ -107,7 +107,7 @@ OBSERVED = (
         "_widen",
         "_[_, 2] if _[_, 0] < _ else _[_, 2]",
         "{3}[{2}, 2]",
-        f"{_NOISE_TESTS}::test_whoever_is_within_the_bounds_is_covered_by_the_body_and_as_fast_as_it_or_less_in_the_way",
+        f"{_NOISE_TESTS}::test_a_vehicle_within_the_bounds_is_covered_by_the_body_of_the_scene",
     ),
     off(
         "rows say nothing of who is who",
@@ -115,7 +115,7 @@ OBSERVED = (
         "_price",
         "min(_[_, _], _) + (_ * min(_, _) if _ == _ else 0.0)",
         "min({1}[{2}, {3}], {4})",
-        f"{_TRACKING_TESTS}::test_rows_that_are_sorted_say_who_is_who_where_what_they_show_does_not",
+        f"{_TRACKING_TESTS}::test_the_order_of_sorted_rows_identifies_vehicles_under_large_noise",
     ),
     off(
         "a bad sensor is believed of newcomers",
@@ -123,7 +123,7 @@ OBSERVED = (
         "_born",
         "_[:, _] += _ / (_ + _ ** 2) * (_ - _[:, _])",
         "pass",
-        f"{_TRACKING_TESTS}::test_nobody_is_taken_to_be_as_fast_as_a_bad_sensor_shows",
+        f"{_TRACKING_TESTS}::test_the_speed_of_a_bad_sensor_is_weighed_against_the_prior",
     ),
     off(
         "a side is the middle",
@@ -139,7 +139,7 @@ OBSERVED = (
         "observe",
         "_ = _(_, _, _, _)",
         "pass",
-        f"{_NOISE_TESTS}::test_bounds_are_no_wider_than_what_was_known_before",
+        f"{_NOISE_TESTS}::test_bounds_are_no_wider_than_those_predicted_from_the_frame_before",
     ),
     off(
         "who may come is told by the row",
@@ -155,7 +155,7 @@ OBSERVED = (
         "_before",
         "_[:, _], _[:, _] = (_[:, _], _[:, _])",
         "{1}[:, {2}], {3}[:, {2}] = ({5}[:, {6}], {3}[:, {2}])",
-        f"{_TRACKING_TESTS}::test_what_is_remembered_of_those_known_again_is_what_is_remembered_in_exact_scenes",
+        f"{_TRACKING_TESTS}::test_the_memory_of_recognised_vehicles_is_that_of_exact_scenes",
     ),
     off(
         "nobody monitors the sensor",
@@ -195,7 +195,7 @@ OBSERVED = (
         "Monitor.after",
         "_[0] > _ - _",
         "True",
-        f"{_LEARNED_TESTS}::test_what_is_older_than_a_decision_counts_no_more",
+        f"{_LEARNED_TESTS}::test_observations_older_than_a_decision_do_not_count_for_the_alarm",
     ),
     off(
         "noise is what little says",
@@ -203,7 +203,7 @@ OBSERVED = (
         "Noise.sigma",
         "_ / (_ * _ ** 3)",
         "0.9 * {1} / {2}",
-        f"{_LEARNED_TESTS}::test_noise_is_taken_to_be_no_less_than_it_is_while_little_was_seen",
+        f"{_LEARNED_TESTS}::test_noise_is_not_underestimated_from_few_observations",
     ),
     off(
         "an unknown sensor is a good one",
@@ -211,7 +211,7 @@ OBSERVED = (
         "Noise.sigma",
         "_()",
         "RESOLUTION.copy()",
-        f"{_LEARNED_TESTS}::test_nothing_is_known_before_anything_was_seen",
+        f"{_LEARNED_TESTS}::test_no_noise_estimate_exists_before_an_observation",
     ),
     off(
         "bounds do not answer to being missed",
@@ -219,7 +219,7 @@ OBSERVED = (
         "Conformal.after",
         "_ * (_ * _ - _(_)._(_=1))",
         "0.0 * ({2} * {3} - {4}({5}).sum(axis=1))",
-        f"{_LEARNED_TESTS}::test_as_many_are_beyond_the_bounds_as_chosen_whatever_the_distribution",
+        f"{_LEARNED_TESTS}::test_the_chosen_share_exceeds_conformal_bounds_for_any_distribution",
     ),
     off(
         "the widest bounds are never missed",
@@ -227,7 +227,7 @@ OBSERVED = (
         "Conformal.missed",
         "(_ > _) | (_ >= _)",
         "{1} > {2}",
-        f"{_LEARNED_TESTS}::test_where_even_the_widest_bounds_are_missed_they_stay",
+        f"{_LEARNED_TESTS}::test_the_widest_bounds_do_not_grow",
     ),
     off(
         "conformal bounds are not used",
@@ -244,7 +244,7 @@ OBSERVED = (
         "Frames.fall_back",
         "_ is not None",
         "False",
-        f"{_NOISE_TESTS}::test_among_bounds_it_goes_by_where_the_others_are_likely",
+        f"{_NOISE_TESTS}::test_the_fallback_uses_the_likely_places_inside_bounds",
         which=2,
     ),
     off(

@@ -22,7 +22,7 @@ SOURCES = (
         "BlindScenes._strays",
         "bool((_ > _)._())",
         "False",
-        f"{_SOURCES}::test_an_ego_that_is_not_where_it_was_told_to_go_is_noticed",
+        f"{_SOURCES}::test_an_ego_that_did_not_execute_its_action_is_detected",
     ),
     off(
         "what was told is forgotten where nothing is seen",
@@ -30,7 +30,7 @@ SOURCES = (
         "BlindScenes.tell",
         "_() if _ is None else _",
         "{2}",
-        f"{_SOURCES}::test_what_the_ego_was_told_is_known_where_nothing_can_be_read",
+        f"{_SOURCES}::test_the_target_command_is_known_after_an_unreadable_observation",
     ),
     off(
         "what was clipped is taken for what was there",
@@ -38,7 +38,7 @@ SOURCES = (
         "as_shown",
         "_[_] = _",
         "pass",
-        f"{_LAYERS}::test_what_normalisation_has_cut_off_is_not_known",
+        f"{_LAYERS}::test_a_value_clipped_by_normalisation_is_unknown",
     ),
     off(
         "any wrapper may stand between",
@@ -54,7 +54,7 @@ SOURCES = (
         "numbers_of",
         "_ not in (_, (_(_),))",
         "given.size != {3}({2})",
-        f"{_UNREADABLE}::test_what_cannot_be_read_is_answered_with_the_labelled_fallback",
+        f"{_UNREADABLE}::test_an_unreadable_observation_leads_to_the_labelled_fallback",
     ),
     off(
         "a body is in the middle of its cell",
@@ -70,7 +70,7 @@ SOURCES = (
         "GridPerception._hidden",
         "not _",
         "True",
-        f"{_GRID}::test_in_a_cell_of_two_lanes_somebody_may_be_hidden",
+        f"{_GRID}::test_a_cell_of_two_lanes_may_hide_a_vehicle",
     ),
     off(
         "beyond the grid nobody is",
@@ -78,7 +78,7 @@ SOURCES = (
         "GridPerception.see",
         "_(_, _[0], _, _, _, _(_))",
         "np.zeros((0, 4))",
-        f"{_GRID}::test_beyond_the_grid_somebody_slow_is_assumed",
+        f"{_GRID}::test_a_slow_vehicle_is_assumed_beyond_the_grid",
     ),
     off(
         "of two who may be the same one is",
@@ -86,7 +86,7 @@ SOURCES = (
         "GridPerception._take_in",
         "_ & (_(_=0) == 1)",
         "{1}",
-        f"{_GRID}::test_nobody_is_taken_for_another_where_it_may_be_either",
+        f"{_GRID}::test_ambiguous_vehicles_get_new_identities",
     ),
     off(
         "who is too fast for the range is at its edge",
@@ -94,7 +94,7 @@ SOURCES = (
         "decode_grid",
         "_ |= _",
         "pass",
-        f"{_GRID}::test_who_is_too_fast_for_the_range_is_somebody_of_whom_nothing_is_known",
+        f"{_GRID}::test_a_vehicle_too_fast_for_the_range_may_be_anywhere",
     ),
     off(
         "a grid along the ego is taken to lie along the road",
@@ -102,7 +102,7 @@ SOURCES = (
         "decode_grid",
         "_ if _ else 0.0",
         "0.0",
-        f"{_GRID}::test_everybody_in_the_grid_is_inside_its_bounds",
+        f"{_GRID}::test_every_vehicle_in_the_grid_is_inside_its_bounds",
     ),
 )
 """Each of a line."""

@@ -330,6 +330,6 @@ WATCHED = (
         "_decided",
         "None if _ is _ else _",
         "{3}",
-        f"{TESTS_OF_LOT}::test_without_a_plan_to_begin_with_the_record_says_so",
+        f"{TESTS_OF_LOT}::test_a_start_without_a_verified_plan_is_recorded",
     ),
 )

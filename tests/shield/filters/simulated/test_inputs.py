@@ -64,13 +64,14 @@ def watched(env_id, seed, policy, decisions=25):
 
 @pytest.mark.parametrize("policy", POLICIES)
 @pytest.mark.parametrize("env_id", [*ROADS, *MORE])
-def test_nobody_comes_into_the_buffer(env_id, policy):
-    """Whatever is proposed, on the road; after each frame that verified, true rectangles apart; nothing unforetold."""
+def test_no_vehicle_comes_into_the_buffer_of_verified_inputs(env_id, policy):
+    """For any proposal the ego stays on the road. After each verified frame the true rectangles are apart, and no
+    prediction mismatch occurs."""
     tiers, shield = [], None
     for env, base, decision, least in watched(env_id, STARTS.get(env_id, 820), policy):
         tiers.append(decision.tier)
         shield = env
-        # The ego included, to the last bit: what comes of float32 actions otherwise is seen after some frames.
+        # The ego included, to the last bit; a float32 error would show after some frames.
         assert not env._door._scene.surprised
         assert base.vehicle.on_road
         if decision.tier.verified:
@@ -81,7 +82,7 @@ def test_nobody_comes_into_the_buffer(env_id, policy):
 
 
 def test_a_frame_that_ends_inside_the_buffer_is_not_verified():
-    """Somebody just behind falls back: what comes after the frame is clear, the frame itself is not."""
+    """A vehicle just behind falls back: the scene after the frame is clear, the frame itself is not."""
     env = ShieldedEnv(make("highway-fast-v0"), EXACT)
     env.reset(seed=3)
     base, ego, seen = env.unwrapped, env.unwrapped.vehicle, []
@@ -103,8 +104,8 @@ def test_a_frame_that_ends_inside_the_buffer_is_not_verified():
 
 
 @pytest.mark.parametrize("env_id", ["roundabout-v1", "highway-fast-v0", *later("intersection-v1", "two-way-v0")])
-def test_there_is_always_a_way_on(env_id):
-    """What is stored with a frame is driven in a copy of highway-env: the buffer stays clear until the horizon ends."""
+def test_the_stored_plan_stays_clear_until_the_horizon(env_id):
+    """The plan stored with a frame is driven in a copy of highway-env."""
     tried = 0
     for n, (env, base, decision, _) in enumerate(watched(env_id, 830, "throttle", 8)):
         door = env._door
@@ -159,7 +160,7 @@ def test_a_hundred_wild_scenes_are_driven_clear(env_id):
     assert sum(driven_in_a_wild_scene(env_id, seed) > 0 for seed in range(6_000, 6_100)) > 10
 
 
-def test_full_throttle_drives():
+def test_full_throttle_makes_progress():
     """It is not by standing still that nothing happens: with the wheel straight, as fast as its leader."""
     env = ShieldedEnv(make("highway-fast-v0"), EXACT)
     env.reset(seed=842)
@@ -199,7 +200,7 @@ def test_shield_and_shielded_env_drive_the_same():
 
 
 @pytest.mark.parametrize("action", [[np.nan, 0.0], [np.inf, 1.0], [0.1], "left", None, [[0.0, 0.0]], [1e300, 0.0]])
-def test_what_is_no_action_is_replaced(action):
+def test_an_invalid_input_is_replaced_in_simulated_traffic(action):
     env = ShieldedEnv(make("merge-v1"), EXACT)
     env.reset(seed=1)
     env.step(np.array([0.5, 0.0], np.float32))
@@ -225,13 +226,13 @@ def test_a_scene_that_cannot_be_read_is_braked_in():
         assert env.frame_decisions[0].tier is (Tier.EMERGENCY if first else Tier.STORED_PLAN)
         assert "Stranger" in env._door.cause
         assert base.vehicle.speed < speed
-        # What was planned before is not what is fallen back on in a scene that has not been seen since.
+        # The plan stored for an earlier scene is not the fallback in a scene not seen since.
         base.road.vehicles.pop()
         env.step(np.array([np.nan, 0.0], np.float32))
         assert env.frame_decisions[0].tier is Tier.ALTERNATIVE
 
 
-def test_who_does_something_else_between_two_frames_is_seen():
+def test_a_prediction_mismatch_between_two_frames_is_counted():
     env = ShieldedEnv(make("roundabout-v1"), EXACT)
     env.reset(seed=2)
     base = env.unwrapped
@@ -250,8 +251,8 @@ def test_who_does_something_else_between_two_frames_is_seen():
     assert info["shield"]["violations"] == env._door.violations == 1
 
 
-def test_a_plan_is_forgotten_where_somebody_does_something_else():
-    """What was planned for another scene is not what is fallen back on."""
+def test_a_stored_plan_is_dropped_after_a_prediction_mismatch():
+    """A plan for another scene is not the fallback."""
     for moved in (False, True):
         env = ShieldedEnv(make("roundabout-v1"), EXACT)
         env.reset(seed=2)
@@ -263,8 +264,8 @@ def test_a_plan_is_forgotten_where_somebody_does_something_else():
         assert env.frame_decisions[0].reason is Reason.BAD_ACTION
 
 
-def test_the_law_goes_on_where_highway_env_is_read_again():
-    """Between any two decisions, also where one of its actions has just ended: the same lane, and the same speed."""
+def test_the_braking_law_continues_after_highway_env_is_read_again():
+    """Between any two decisions, also where one of its actions has just ended: the same lane and the same speed."""
     env = ShieldedEnv(
         gym.make("highway-v0", config={"action": {"type": "ContinuousAction"}, "policy_frequency": 5}), EXACT
     )
@@ -301,7 +302,7 @@ def test_an_obstacle_is_stopped_for():
     assert gap(base, EXACT.buffer) >= -1e-9
 
 
-def test_what_is_recorded_is_what_happens():
+def test_the_recorded_plan_of_inputs_is_driven():
     env = ShieldedEnv(make("roundabout-v1"), EXACT.replace(record=True))
     env.reset(seed=7)
     base = env.unwrapped
@@ -324,14 +325,15 @@ def test_what_is_recorded_is_what_happens():
         (lambda: Shield(Always(np.zeros(2)), gym.make("parking-v0"), EXACT), r"leave ShieldConfig\.exact\(\) out"),
     ],
 )
-def test_what_cannot_be_simulated_is_refused(build, message):
+def test_inputs_that_cannot_be_simulated_are_refused(build, message):
     with pytest.raises(ConfigError, match=message):
         build()
 
 
 @pytest.mark.parametrize("env_id", ["roundabout-v1", "highway-fast-v0"])
-def test_meta_actions_pass_through_both_doors_alike(env_id):
-    """ShieldedEnv, Shield, and Shield without frames: the same decisions; the mask is of what would pass."""
+def test_meta_actions_pass_both_wrappers_alike(env_id):
+    """`ShieldedEnv`, `Shield`, and `Shield` without frames make the same decisions; the mask holds the actions that
+    pass."""
     one, two, three = (gym.make(env_id) for _ in range(3))
     shielded = ShieldedEnv(one, EXACT)
     shields = [Shield(Always(3), two, EXACT), Shield(Always(3), three, EXACT, frames=False)]

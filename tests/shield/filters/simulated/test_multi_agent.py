@@ -56,8 +56,8 @@ def drive(egos, seed, policy, env_id=IDS[0]):
 
 @pytest.mark.parametrize("egos", [4, *later(2)])
 @pytest.mark.parametrize("env_id", IDS)
-def test_nobody_touches_anybody(egos, env_id):
-    """All faster, and all at random: true rectangles, frame by frame, and the traffic does what was foretold."""
+def test_no_ego_of_several_touches_another_vehicle(egos, env_id):
+    """All egos always faster, and all at random: true rectangles in each frame, and the traffic moves as predicted."""
     overridden = 0
     for seed, policy in ((903, lambda rng: FASTER), (904, lambda rng: int(rng.integers(3)))):
         for _, _, info in drive(egos, seed, policy, env_id):
@@ -67,7 +67,7 @@ def test_nobody_touches_anybody(egos, env_id):
     assert overridden
 
 
-def test_all_of_them_arrive():
+def test_all_egos_arrive():
     for seed in (905, 907):
         arrived = np.zeros(4, bool)
         for _, base, _ in drive(4, seed, lambda rng: FASTER):
@@ -75,14 +75,15 @@ def test_all_of_them_arrive():
         assert arrived.all()
 
 
-def test_the_plans_together_are_clear():
-    """After a decision, all plans are driven at once in a copy of highway-env: nobody comes into anybody's buffer."""
+def test_the_joint_plans_are_clear():
+    """After a decision, all plans are driven at once in a copy of highway-env: no vehicle comes into an ego's
+    buffer."""
     driven = 0
     for n, (env, base, _) in enumerate(drive(4, 908, lambda rng: FASTER)):
         if n % 3 or not all(decision.tier.verified for decision in env.last_decisions):
             continue
         copy, plans, driven = deepcopy(base), [p.actions[0, : p.length[0]] for p in env._door._plans], driven + 1
-        # Nobody who has come since the decision.
+        # Except vehicles that have appeared since the decision.
         known = list(env._door._scene._foretold_of)
         there = [v in known for v in base.road.vehicles]
         copy.road.vehicles = [v for v, old in zip(copy.road.vehicles, there, strict=True) if old]
@@ -110,8 +111,8 @@ def test_two_that_meet_do_not_both_go():
         assert not any(vehicle.crashed for vehicle in base.controlled_vehicles)
 
 
-def test_what_is_verified_for_one_is_verified_for_all():
-    """Somebody stands in the second one's buffer: whatever the first does, its plan is not clear for everybody."""
+def test_the_plan_of_one_ego_is_verified_for_all_egos():
+    """A vehicle stands in the second ego's buffer, so no plan of the first ego is clear for all egos."""
     env = ShieldedEnv(make(2), EXACT)
     env.reset(seed=920)
     base = env.unwrapped
@@ -128,7 +129,7 @@ def test_what_is_verified_for_one_is_verified_for_all():
         assert decisions[0].tier is (Tier.LARGEST_MARGIN if near else Tier.PASSED)
 
 
-def test_an_ego_alone_in_a_team_is_decided_about_as_by_itself():
+def test_a_single_ego_with_multi_agent_actions_gets_the_decisions_of_one_ego():
     one, team = gym.make("intersection-v0"), make(1)
     alone, together = ShieldedEnv(one, EXACT), ShieldedEnv(team, EXACT)
     alone.reset(seed=921)
@@ -143,7 +144,7 @@ def test_an_ego_alone_in_a_team_is_decided_about_as_by_itself():
             break
 
 
-def test_what_is_no_action_and_what_cannot_be_read():
+def test_an_invalid_action_and_an_unreadable_scene_of_several_egos_fall_back():
     env = ShieldedEnv(make(2), EXACT)
     env.reset(seed=930)
     *_, info = env.step((FASTER, 17))
@@ -170,6 +171,6 @@ def test_what_is_no_action_and_what_cannot_be_read():
         (lambda: ShieldedEnv(make(2), EXACT).step((1,)), "2 egos and 1 actions"),
     ],
 )
-def test_what_is_not_for_several_egos_is_refused(build, message):
+def test_settings_that_do_not_support_several_egos_are_refused(build, message):
     with pytest.raises(ConfigError, match=message):
         build()

@@ -48,7 +48,7 @@ class Late(HighwayEnvFast):
 
 
 class Shaped(HighwayEnvFast):
-    """A reward that is changed in `step`, which says that it moves nobody."""
+    """A reward that is changed in `step`, which declares that it moves no vehicle."""
 
     changes_between_decisions_only = True
 
@@ -151,8 +151,8 @@ def test_a_class_with_its_own_reward_is_driven_as_its_parent(parent, config):
     assert decisions(mine) == decisions(ShieldedEnv(parent(config), ShieldConfig.simulated_traffic()))
 
 
-def test_ids_of_ones_own_are_driven_with_the_configuration_that_they_are_registered_with():
-    """Another id of highway-env's class, one of a class of one's own, and one whose entry point is a function."""
+def test_users_ids_are_driven_with_their_registered_configuration():
+    """Another id of highway-env's class, one of the user's class, and one whose entry point is a function."""
     mine = of_its_own(HighwayEnvFast)
     config = {"lanes_count": 5, "vehicles_count": 8}
     for name, entry in (("Same", HighwayEnvFast), ("Mine", mine), ("Made", lambda **kw: mine(**kw))):
@@ -166,8 +166,8 @@ def test_ids_of_ones_own_are_driven_with_the_configuration_that_they_are_registe
 
 
 @pytest.mark.parametrize("kind", [Late, Shaped, Bare])
-def test_what_a_reset_creates_and_what_a_step_does_between_decisions_may_be_its_own(kind):
-    """Scenes are read as they are."""
+def test_users_classes_may_override_the_reset_and_the_step_between_decisions(kind):
+    """Scenes are read from the environment."""
     env = ShieldedEnv(kind(), ShieldConfig.simulated_traffic())
     env.reset(seed=1)
     for _ in range(4):
@@ -195,13 +195,13 @@ def test_a_class_that_moves_its_traffic_itself_is_refused_by_the_method(kind, na
         ShieldedEnv(kind(), ShieldConfig.simulated_traffic())
 
 
-def test_throttle_and_steering_on_highways_are_refused_in_the_same_way():
-    """They are simulated by the networks' simulator, which asked nothing of straight highways."""
+def test_users_classes_with_throttle_and_steering_on_highways_are_refused_alike():
+    """The network simulator simulates them, and once checked nothing on straight highways."""
     with pytest.raises(ConfigError, match=r"Pushed\._simulate is not highway-env's"):
         ShieldedEnv(Pushed(INPUTS), ShieldConfig.simulated_traffic())
 
 
-def test_a_step_of_the_environment_itself_is_found_too():
+def test_an_overridden_step_of_the_environment_is_detected():
     """An attribute hides the method of the class."""
     env = gym.make("highway-fast-v0")
     env.unwrapped.step = lambda action: None

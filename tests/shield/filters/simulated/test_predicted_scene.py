@@ -1,4 +1,4 @@
-"""Verification by simulation on roads that are no straight highway, in highway-env itself."""
+"""Verification by simulation on roads other than a straight highway, in highway-env itself."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from shield.decision import Tier
 
 EXACT = ShieldConfig.simulated_traffic()
 UNSEEN = np.zeros((5, 5))
-"""An observation that nobody looks at."""
+"""A placeholder observation that no code reads."""
 ROADS = ["merge-v1", "roundabout-v1", "two-way-v0", "u-turn-v1", "intersection-v2"]
 MORE = [
     pytest.param(each, marks=pytest.mark.slow)
@@ -42,8 +42,8 @@ def episode(env_id, seed, name=None):
 
 
 @pytest.mark.parametrize("env_id", [*ROADS, *MORE])
-def test_what_verifies_is_clear_in_highway_env(env_id):
-    """The plan behind every sixth decision is driven in a copy of highway-env: nobody comes into the buffer."""
+def test_a_verified_plan_on_a_network_is_clear_in_highway_env(env_id):
+    """The plan of every sixth decision is driven in a copy of highway-env; no vehicle comes into the buffer."""
     verified = 0
     for k, (env, shield, taken) in enumerate(episode(env_id, 800)):
         decision, plans = shield.last_decision, shield._doors[0]._plans
@@ -55,7 +55,7 @@ def test_what_verifies_is_clear_in_highway_env(env_id):
 
 
 @pytest.mark.parametrize("env_id", [*ROADS, *MORE])
-def test_faster_drives_as_is_foretold_and_nobody_touches(env_id):
+def test_always_faster_drives_as_predicted_and_without_contact(env_id):
     overridden = 0
     for seed in (810, 811):
         for _, shield, _ in episode(env_id, seed, "FASTER"):
@@ -76,7 +76,7 @@ def test_the_horizon_ends_where_the_road_does():
     assert shield.last_decision.tier is Tier.PASSED
 
 
-def test_a_vehicle_that_does_something_else_is_counted():
+def test_a_prediction_mismatch_on_a_network_is_counted():
     for k, (env, shield, _) in enumerate(episode("roundabout-v1", 820, "IDLE")):
         if k == 2:
             assert shield._doors[0].violations == 0
@@ -86,8 +86,9 @@ def test_a_vehicle_that_does_something_else_is_counted():
             return
 
 
-def test_who_comes_and_goes_at_an_intersection_is_no_offence():
-    """Newcomers and those who have left are in no foretold scene; somebody who does something else is counted."""
+def test_vehicles_that_enter_or_leave_an_intersection_are_no_violators():
+    """Spawned and removed vehicles are in no predicted scene; a vehicle that moves otherwise than predicted is
+    counted."""
     first, offended = None, False
     for k, (env, shield, _) in enumerate(episode("intersection-v0", 837, "SLOWER")):
         first = first or list(env.road.vehicles)
@@ -105,8 +106,8 @@ def test_who_comes_and_goes_at_an_intersection_is_no_offence():
 
 
 @pytest.mark.parametrize("env_id", ["intersection-v0", "merge-v1"])
-def test_what_is_recorded_is_what_happens(env_id):
-    """The ego's path is foretold, and the boxes around the others hold them, frame by frame."""
+def test_the_recorded_plan_and_areas_match_the_drive(env_id):
+    """The ego drives the recorded path, and the recorded boxes contain the other vehicles, frame by frame."""
     env, rng = gym.make(env_id).unwrapped, np.random.default_rng(0)
     env.reset(seed=840)
     policy = Always(0)
@@ -134,7 +135,7 @@ def test_what_is_recorded_is_what_happens(env_id):
 
 
 def verified_in_a_wild_scene(env_id, seed):
-    """Whether a proposal in a scene thrown together, or what takes its place, verifies: then highway-env is clear."""
+    """Whether a proposal in a random scene, or its replacement, verifies; a verified one is checked in highway-env."""
     pair, rng = wild_scene(env_id, seed)
     shield = Shield(Always(int(rng.integers(pair.env.action_space.n))), pair.env, EXACT, frames=False)
     taken = int(shield.predict(UNSEEN)[0])
@@ -147,12 +148,12 @@ def verified_in_a_wild_scene(env_id, seed):
 
 
 @pytest.mark.parametrize("env_id", ["merge-v1", "intersection-v2"])
-def test_what_verifies_in_a_wild_scene_is_clear(env_id):
-    """Vehicles of other sizes and constants anywhere, with routes of their own, wrecks and obstacles."""
+def test_a_verified_plan_in_a_random_scene_is_clear(env_id):
+    """Vehicles of other sizes and constants anywhere, with their own routes, wrecks and obstacles."""
     assert sum(verified_in_a_wild_scene(env_id, seed) for seed in (303, 304)) == 2
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("env_id", [*ROADS, "exit-v1"])
-def test_what_verifies_in_a_hundred_wild_scenes_is_clear(env_id):
+def test_a_verified_plan_in_a_hundred_random_scenes_is_clear(env_id):
     assert sum(verified_in_a_wild_scene(env_id, seed) for seed in range(1000, 1100)) > 10

@@ -1,4 +1,4 @@
-"""A refusal names only what works: each remedy of each message is tried in the environment that was refused."""
+"""A refusal names only remedies that work: each is tried in the refused environment."""
 
 from __future__ import annotations
 
@@ -194,7 +194,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_a_refusal_names_is_accepted(case):
+def test_the_remedies_of_a_refusal_are_accepted(case):
     refused, named, remedies = REFUSED[case]
     with pytest.raises(ShieldError) as caught:
         refused()
@@ -209,8 +209,9 @@ def test_what_a_refusal_names_is_accepted(case):
     [("highway-fast-v0", METAS), ("highway-fast-v0", GASES), ("racetrack-v1", GASES), ("parking-v0", GOALS)],
     ids=["highway, meta", "highway, throttle", "racetrack", "parking"],
 )
-def test_where_several_egos_are_refused_in_any_case_no_remedy_is_named(env_id, config, settings):
-    """Two egos on a highway: "take ShieldConfig.simulated_traffic()", which was refused as well."""
+def test_no_remedy_is_named_for_several_egos_that_are_always_refused(env_id, config, settings):
+    """The message for two egos on a highway once named `ShieldConfig.simulated_traffic()`, which was refused as
+    well."""
     for refused in (lambda: shielded(env_id, config, settings), lambda: policy(env_id, config, settings)):
         with pytest.raises(ShieldError) as caught:
             refused()
@@ -219,7 +220,7 @@ def test_where_several_egos_are_refused_in_any_case_no_remedy_is_named(env_id, c
 
 
 @pytest.mark.parametrize(("env_id", "known"), [("highway-fast-v0", True), ("roundabout-v1", False)])
-def test_environments_in_other_processes_are_told_of_observations_only_where_these_can_be_read(env_id, known):
+def test_observations_are_a_remedy_for_other_processes_only_if_they_can_be_read(env_id, known):
     env = many(env_id, SubprocVecEnv)
     try:
         env.reset()

@@ -1,4 +1,4 @@
-"""What `compiled` promises: kernels are kept on disk, and made again when anything has changed that went into them."""
+"""Guarantees of `compiled`: kernels are stored on disk, and compiled again when one of their sources changes."""
 
 import os
 import subprocess
@@ -39,14 +39,14 @@ def test_a_kernel_may_call_a_kernel():
     assert compiled(quarter)(2.0) == 0.5
 
 
-def test_what_it_calls_is_part_of_what_it_is_made_from():
+def test_a_called_kernel_is_part_of_the_digest():
     first = made_from(compiled(quarter))
     assert first == made_from(compiled(quarter))
     assert first != made_from(half)
 
 
 def run(folder: Path, program: str = PROGRAM) -> tuple[float, int]:
-    """What a program prints: an answer, and how often its code was found on the disk."""
+    """The output of a program: a result, and the number of kernels that were found on disk."""
     root = Path(__file__).parents[2]
     paths = os.pathsep.join([str(folder), str(root)])
     env = {**os.environ, "PYTHONPATH": paths, "NUMBA_CACHE_DIR": str(folder / "kept"), "PYTHONDONTWRITEBYTECODE": "1"}
@@ -100,13 +100,13 @@ def reads_member(x):
     return Kind.A * x
 
 
-def test_a_global_array_is_part_of_what_a_kernel_is_made_from(monkeypatch):
+def test_a_global_array_is_part_of_the_digest(monkeypatch):
     first = made_from(compiled(reads_array))
     monkeypatch.setitem(globals(), "ARRAY", np.array([3.0, 2.0]))
     assert made_from(compiled(reads_array)) != first
 
 
-def test_the_members_of_an_enumeration_are_part_of_what_a_kernel_is_made_from(monkeypatch):
+def test_the_members_of_an_enumeration_are_part_of_the_digest(monkeypatch):
     first = made_from(compiled(reads_member))
     monkeypatch.setitem(globals(), "Kind", IntEnum("Kind", {"A": 2}))
     assert made_from(compiled(reads_member)) != first
@@ -129,7 +129,7 @@ def test_code_for_a_class_that_has_moved_counts_as_none(tmp_path):
         assert run(tmp_path, MOVED.format(name)) == (3.0, 1)
 
 
-def test_what_a_kernel_needs_has_to_be_there_before_it():
+def test_a_global_of_a_kernel_has_to_be_defined_before_it():
     with pytest.raises(NameError, match=r"kernel early needs later_on: define that before it"):
         compiled(early)
 

@@ -1,4 +1,4 @@
-"""Scenes that somebody has arranged, or changed by hand, go on in the compiled highway as they do in highway-env."""
+"""Arranged or changed scenes continue in the compiled highway as in highway-env."""
 
 import numpy as np
 import pytest
@@ -12,14 +12,14 @@ from dynamics.highway_simulator.simulator import Simulator
 
 
 @pytest.mark.parametrize("seed", range(24))
-def test_scenes_that_somebody_has_arranged_go_on_in_the_same_way(seed):
+def test_an_arranged_scene_continues_in_the_same_way(seed):
     rng = np.random.default_rng(seed)
     pair = Pair.of(random_scene(rng))
     pair.drive(10, rng, scale=float(rng.choice([0.1, 1.0, 2.0])))
 
 
 @pytest.mark.parametrize("seed", [100, 101, 102, 103])
-def test_a_stored_scene_goes_on_in_the_same_way(seed):
+def test_a_stored_scene_continues_in_the_same_way(seed):
     rng = np.random.default_rng(seed)
     pair = Pair.of(random_scene(rng))
     pair.drive(2, rng)
@@ -52,7 +52,7 @@ def test_a_vehicle_that_enters_the_road_within_a_frame_is_seen():
     drive_live(env, 4)
 
 
-def test_a_vehicle_moved_to_another_lane_finds_out_where_it_is():
+def test_a_vehicle_moved_to_another_lane_updates_its_lane():
     env = live()
     vehicle = env.unwrapped.road.vehicles[1]
     place(vehicle, 300.0, 8.0, 20.0, aware=False)
@@ -60,7 +60,7 @@ def test_a_vehicle_moved_to_another_lane_finds_out_where_it_is():
     drive_live(env, 3)
 
 
-def test_a_vehicle_made_larger_by_hand_is_touched_in_the_same_way():
+def test_an_enlarged_vehicle_collides_in_the_same_way():
     for kept in (False, True):  # highway-env measures its diagonal once, when it is made
         env = live({"vehicles_count": 10, "vehicles_density": 5.0}, env_id="highway-v0")
         for vehicle in env.unwrapped.road.vehicles:
@@ -107,7 +107,7 @@ def test_a_copied_scene_of_other_bodies_does_not_start_again():
         ("act", lambda action=None: None),
     ],
 )
-def test_vehicles_with_another_nature_than_the_simulator_knows_are_refused_or_the_same(name, value):
+def test_vehicles_of_unknown_constants_are_refused_or_the_same(name, value):
     env = live({"vehicles_density": 4.0, "vehicles_count": 10}, seed=3, env_id="highway-v0")
     for vehicle in env.unwrapped.road.vehicles[1:]:
         setattr(vehicle, name, value)
@@ -118,7 +118,7 @@ def test_vehicles_with_another_nature_than_the_simulator_knows_are_refused_or_th
 @pytest.mark.parametrize(
     ("name", "value"), [("target_speeds", np.arange(5) * 10.0), ("KP_A", 0.2), ("MAX_SPEED", 22.0)]
 )
-def test_an_ego_with_another_nature_than_the_simulator_knows_is_refused_or_the_same(name, value):
+def test_an_ego_of_unknown_constants_is_refused_or_the_same(name, value):
     env = live()
     setattr(env.unwrapped.vehicle, name, value)
     same_or_refused(lambda: drive_live(env, 8))
@@ -130,7 +130,7 @@ def test_a_route_of_the_ego_is_refused_or_observed():
     same_or_refused(lambda: drive_live(env, 3))
 
 
-def test_scenes_of_another_road_or_of_strange_objects_are_refused():
+def test_scenes_of_another_road_or_of_unknown_objects_are_refused():
     env = live()
     env.unwrapped.road.network.graph["0"]["1"][0].speed_limit = 20
     with pytest.raises(SceneError):

@@ -1,4 +1,4 @@
-"""The compiled highway is highway-env's, whatever is configured or arranged."""
+"""The compiled highway equals highway-env's for any configuration and scene."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def fuzz(seed, most, decisions):
 
 @settings(max_examples=12)
 @given(st.integers(0, 2**32 - 1))
-def test_whatever_is_configured_is_the_same(seed):
+def test_any_configuration_is_the_same(seed):
     fuzz(seed, 5, 4)
 
 

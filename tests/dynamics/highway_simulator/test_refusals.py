@@ -1,4 +1,4 @@
-"""What the compiled highway cannot do is refused: nothing is another in silence."""
+"""Options that the compiled highway does not support are refused; none is silently replaced."""
 
 import gymnasium as gym
 import numpy as np
@@ -56,7 +56,7 @@ class _Stiff(IDMVehicle):
 
 
 @pytest.mark.parametrize("kind", [_Timid, _Slow, _Close, _Blind, _Straight, _Eager, _Lazy, _Stiff])
-def test_traffic_that_drives_in_its_own_way_is_refused_or_the_same(kind, monkeypatch):
+def test_traffic_with_its_own_driver_model_is_refused_or_the_same(kind, monkeypatch):
     monkeypatch.setattr(simulator_pair, kind.__name__, kind, raising=False)
     path = f"simulator_pair.{kind.__name__}"
     same_or_refused(lambda: drive({"other_vehicles_type": path, "vehicles_density": 3.0}, decisions=8))
@@ -95,12 +95,12 @@ def test_traffic_that_drives_in_its_own_way_is_refused_or_the_same(kind, monkeyp
     ],
     ids=str,
 )
-def test_what_the_simulator_cannot_do_is_refused(config):
+def test_an_unsupported_configuration_is_refused(config):
     with pytest.raises(ConfigError):
         Simulator("highway-fast-v0", 1, {**SMALL, **config})
 
 
-def test_the_last_lane_may_be_asked_for_as_minus_one():
+def test_the_last_lane_may_be_configured_as_minus_one():
     same_or_refused(lambda: drive({"initial_lane_id": -1}, decisions=1))
 
 
@@ -119,7 +119,7 @@ def test_the_configuration_that_an_environment_is_registered_with_counts():
 
 
 @pytest.mark.parametrize("which", [2, -3])
-def test_copies_that_there_are_not_are_refused(which):
+def test_a_copy_that_does_not_exist_is_refused(which):
     with pytest.raises(ShieldError):
         Simulator("highway-fast-v0", 2, SMALL).reset([1], which=[which])
 

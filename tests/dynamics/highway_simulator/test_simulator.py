@@ -1,6 +1,6 @@
-"""The compiled highway is highway-env's, to the last bit: whatever is configured, wherever it starts, however long.
+"""The compiled highway equals highway-env's to the last bit, for any configuration, start and length.
 
-Where this machine's numpy makes sums of products in an unknown way (`Simulator.exact`), to 1e-9.
+Where this machine's numpy computes sums of products in an unknown way (`Simulator.exact`), it does so to 1e-9.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""The comparison of the compiled highway with highway-env's notices what differs."""
+"""The comparison of the compiled highway with highway-env's detects differences."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from simulator_pair import SMALL, Pair
 from dynamics.highway_simulator.layout import SPEED, X
 
 
-def test_one_bit_of_a_position_is_noticed_and_named():
+def test_a_difference_of_one_bit_of_a_position_is_detected_and_named():
     pair = Pair("highway-fast-v0", SMALL)
     pair.reset([4])
     worlds = pair.simulator.worlds
@@ -25,7 +25,7 @@ def test_one_bit_of_a_position_is_noticed_and_named():
         pair.compare_states()
 
 
-def test_a_constant_of_the_world_that_changes_is_noticed(monkeypatch):
+def test_a_changed_constant_of_the_world_is_detected(monkeypatch):
     pair = Pair("highway-fast-v0", SMALL)
     pair.reset([0])
     pair.step([1])
@@ -35,7 +35,7 @@ def test_a_constant_of_the_world_that_changes_is_noticed(monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["reward", "terminated", "truncated", "observations"])
-def test_what_a_step_returns_is_compared(name, monkeypatch):
+def test_the_results_of_a_step_are_compared(name, monkeypatch):
     pair = Pair("highway-fast-v0", SMALL)
     pair.reset([0])
     right = pair.simulator.step
@@ -53,7 +53,7 @@ def test_what_a_step_returns_is_compared(name, monkeypatch):
         pair.step([1])
 
 
-def test_a_simulator_that_stands_still_is_noticed():
+def test_a_simulator_that_stands_still_is_detected():
     pair = Pair("highway-fast-v0", SMALL)
     pair.reset([0])
     pair.simulator.worlds.f[0, SPEED, 0] = 0.0

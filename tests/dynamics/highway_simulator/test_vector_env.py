@@ -1,4 +1,5 @@
-"""The compiled highway behind Gymnasium's vector interface: what Gymnasium makes of highway-env itself, to the bit."""
+"""The compiled highway with Gymnasium's vector interface equals Gymnasium's vector environment of highway-env, to
+the bit."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -15,7 +16,7 @@ from evaluation.settings import Setting
 CONFIG = {"vehicles_count": 8, "duration": 6}
 
 
-def test_it_steps_and_resets_as_gymnasiums_own_does():
+def test_the_vector_environment_steps_and_resets_as_gymnasiums_own():
     mine = HighwayVectorEnv("highway-fast-v0", 3, CONFIG)
     options = {"autoreset_mode": AutoresetMode.SAME_STEP}
     theirs = gym.make_vec("highway-fast-v0", 3, vectorization_mode="sync", vector_kwargs=options, config=CONFIG)
@@ -44,7 +45,7 @@ def test_it_steps_and_resets_as_gymnasiums_own_does():
     assert ends > 5
 
 
-def test_some_are_reset_and_the_others_go_on():
+def test_a_reset_of_some_environments_leaves_the_others_running():
     env = HighwayVectorEnv("highway-fast-v0", 3, CONFIG)
     env.reset(seed=[1, 2, 3])
     env.step([1, 1, 1])
@@ -58,7 +59,7 @@ def test_some_are_reset_and_the_others_go_on():
     assert np.array_equal(after[1], alone.worlds.f[0])
 
 
-def test_threads_change_nothing():
+def test_the_number_of_threads_changes_nothing():
     one, two = (Simulator("highway-fast-v0", 7, CONFIG, threads) for threads in (1, 3))
     assert np.array_equal(one.reset(range(7)), two.reset(range(7)))
     rng = np.random.default_rng(1)
@@ -77,7 +78,7 @@ def test_threads_change_nothing():
         ([1, -1], "from 0 to 4"),
     ],
 )
-def test_what_is_no_action_is_refused(actions, message):
+def test_an_invalid_action_is_refused(actions, message):
     with pytest.raises(ActionError, match=message):
         Simulator("highway-fast-v0", 2, CONFIG).step(actions)
 
@@ -98,12 +99,12 @@ def test_what_is_no_action_is_refused(actions, message):
         ("highway-v0", {"lanes": 3}, "lanes=3"),
     ],
 )
-def test_what_it_cannot_run_is_refused_with_a_list(env_id, config, message):
+def test_an_unsupported_environment_is_refused_with_a_list(env_id, config, message):
     with pytest.raises(ConfigError, match=message):
         Simulator(env_id, 1, config)
 
 
-def test_another_version_of_highway_env_is_not_taken_for_the_one_that_was_copied(monkeypatch):
+def test_another_version_of_highway_env_is_refused(monkeypatch):
     monkeypatch.setattr("dynamics.highway_simulator.scenario.version", lambda name: "1.11")
     with pytest.raises(PlatformError, match=r"a copy of highway-env 1.12; 1.11 is installed"):
         Simulator("highway-fast-v0", 1, CONFIG)

@@ -1,4 +1,4 @@
-"""The road-frame rectangle of a car on a bend, grown as the function says, contains all of the car."""
+"""The road-frame rectangle of a car on a bend, grown by the function, contains the whole car."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -64,7 +64,7 @@ def test_the_grown_rectangle_contains_the_outline_and_no_smaller_one_does(k, r, 
 
 
 @pytest.mark.parametrize("name", ["racetrack-v0", "racetrack-oval-v0", "lane-keeping-v0"])
-def test_it_contains_the_outline_anywhere_on_a_road(name):
+def test_the_grown_rectangle_contains_the_outline_anywhere_on_a_road(name):
     env = gym.make(name)
     env.reset(seed=0)
     road = read_network(env.unwrapped.road.network)

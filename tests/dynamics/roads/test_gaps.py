@@ -1,4 +1,4 @@
-"""Where highway-env's vehicle is off the road between two lanes of a map, a gap says so."""
+"""Gaps of a map: places between two lanes at which highway-env's vehicle is off the road."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def in_gap(name: str, s: float, r: float) -> bool:
     offset=st.floats(-0.3, 0.3),
     angle=st.floats(-0.8, 0.8),
 )
-def test_who_is_off_the_road_between_two_lanes_is_in_a_gap(
+def test_a_vehicle_off_the_road_between_two_lanes_is_in_a_gap(
     name: str, share: float, edge: int, offset: float, angle: float
 ) -> None:
     road = read(name)[1]
@@ -59,8 +59,8 @@ def test_who_is_off_the_road_between_two_lanes_is_in_a_gap(
 
 
 @pytest.mark.parametrize(("name", "joint"), [("racetrack-v0", 328.5), ("racetrack-large-v0", 443.0)])
-def test_where_sections_meet_too(name: str, joint: float) -> None:
-    """The nearest lane may be one that has ended, where another contains the place."""
+def test_a_vehicle_off_the_road_at_a_joint_is_in_a_gap(name: str, joint: float) -> None:
+    """The nearest lane may have ended, where another lane contains the place."""
     found = 0
     for s in joint + np.arange(-1.0, 1.0, 0.07):
         for r in np.arange(2.3, 2.7, 0.013):
@@ -71,7 +71,7 @@ def test_where_sections_meet_too(name: str, joint: float) -> None:
     assert found > 5
 
 
-def test_the_property_is_not_empty() -> None:
+def test_vehicles_off_the_road_between_two_lanes_exist() -> None:
     """racetrack-v0 has a strip of 8 cm around s = 200 m."""
     assert off_road("racetrack-v0", 200.0, 2.54)
     assert in_gap("racetrack-v0", 200.0, 2.54)
@@ -85,14 +85,14 @@ def test_a_gap_is_not_much_wider_than_it_is(name: str) -> None:
             assert not off_road(name, s, r)
 
 
-def test_it_is_there_on_every_lap() -> None:
+def test_a_gap_exists_on_every_lap() -> None:
     length = read("racetrack-v0")[1].length
     for laps in (-2, -1, 0, 1, 3):
         assert in_gap("racetrack-v0", 200.0 + laps * length, 2.54)
         assert not in_gap("racetrack-v0", 200.0 + laps * length, 2.0)
 
 
-def test_one_state_in_a_gap_is_enough_and_others_change_nothing() -> None:
+def test_a_path_meets_a_gap_if_one_state_does() -> None:
     gaps = read("racetrack-v0")[1].gaps
     assert gaps is not None
     across = np.array([[200.0, 2.0, 0, 9.0], [200.6, 2.54, 0, 9.0], [201.2, 3.0, 0, 9.0]])
@@ -103,14 +103,14 @@ def test_one_state_in_a_gap_is_enough_and_others_change_nothing() -> None:
 
 
 @pytest.mark.parametrize("name", ["racetrack-oval-v0", "u-turn-v0", "lane-keeping-v0"])
-def test_other_roads_have_none(name: str) -> None:
+def test_other_roads_have_no_gaps(name: str) -> None:
     assert read(name)[1].gaps is None
     assert StraightRoad.from_lanes(3).gaps is None
 
 
 @pytest.mark.parametrize("shielded", [False, True])
-def test_the_shield_does_not_let_the_ego_into_one(shielded: bool) -> None:
-    """From the lane below the strip, straight on towards it: what the frame would reach is off the road."""
+def test_the_shield_keeps_the_ego_out_of_a_gap(shielded: bool) -> None:
+    """From the lane below the gap, straight on towards it: the end of the frame would be off the road."""
     env: gym.Env = gym.make("racetrack-v0", config={"other_vehicles": 0, "policy_frequency": 15})
     env = ShieldedEnv(env) if shielded else env
     env.reset(seed=0)

@@ -1,4 +1,4 @@
-"""Curved roads: coordinates along arcs are those of highway-env's lanes, and going there and back changes nothing."""
+"""Curved roads: coordinates along arcs are those of highway-env's lanes, and the transformations are inverse."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -88,7 +88,7 @@ def test_a_biarc_leads_from_pose_to_pose_without_a_kink(turn, bearing, chord, th
 
 
 @pytest.mark.parametrize("name", ROADS)
-def test_there_and_back_changes_nothing(maps, name):
+def test_to_world_and_to_road_are_inverse_on_curved_roads(maps, name):
     road, rng = maps[name][1], np.random.default_rng(1)
     local = on_road(road, rng, 3000)
     world = road.to_world(local)
@@ -125,7 +125,7 @@ def exact_stretches(road, network):
 @pytest.mark.parametrize(
     ("name", "share"), [("racetrack-v0", 0.75), ("racetrack-large-v0", 0.6), ("racetrack-oval-v0", 0.99)]
 )
-def test_where_the_map_is_exact_coordinates_are_those_of_the_lanes(maps, name, share):
+def test_coordinates_are_those_of_the_lanes_where_the_map_is_exact(maps, name, share):
     network, road = maps[name]
     rng, seen, total = np.random.default_rng(3), 0.0, 0.0
     for label, lane, i, t in exact_stretches(road, network):
@@ -214,7 +214,7 @@ def test_coordinates_are_continuous_across_every_joint_and_the_closing_point(map
 
 
 @pytest.mark.parametrize("name", ROADS)
-def test_where_lanes_are_is_on_the_road_for_the_simulator_too(maps, name):
+def test_a_place_inside_a_lane_is_on_the_road_for_the_simulator(maps, name):
     """Except in the slits of up to 0.09 m that the racetracks leave between lanes that are not concentric."""
     network, road = maps[name]
     rng = np.random.default_rng(6)
@@ -243,7 +243,7 @@ def test_a_sine_is_within_a_millimetre(maps):
     assert (r < 3 + 2e-3).all()
 
 
-def test_one_straight_section_is_the_straight_road():
+def test_a_single_straight_section_is_the_straight_road():
     network = RoadNetwork.straight_road_network(4, length=1_000, angle=0.7)
     road, straight = read_network(network), StraightRoad.from_network(network)
     world = np.random.default_rng(8).uniform(-20, 200, (500, 4)) * np.array([1, 1, 0.01, 0.1])
@@ -275,7 +275,7 @@ def test_ovals_of_any_size_are_read(lanes, length):
 @pytest.mark.parametrize(
     "name", ["merge-v0", "roundabout-v0", "intersection-v0", "exit-v0", "two-way-v0", "parking-v0"]
 )
-def test_other_networks_are_refused_with_what_is_supported(name):
+def test_other_networks_are_refused_with_the_supported_ones(name):
     with pytest.raises(SceneError, match=r"supported are .*racetrack-v0"):
         read_network(network_of(name))
 

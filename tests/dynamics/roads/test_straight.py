@@ -21,7 +21,7 @@ states = st.lists(st.tuples(metres, metres, angles, st.floats(-40, 40)), min_siz
 
 @LIMITS
 @given(states, st.tuples(metres, metres), angles)
-def test_to_world_undoes_to_road(rows, origin, heading):
+def test_to_world_and_to_road_are_inverse(rows, origin, heading):
     road = StraightRoad.from_lanes(3, origin=origin, heading=heading)
     world = np.array(rows)
     np.testing.assert_allclose(road.to_world(road.to_road(world)), world, rtol=0, atol=1e-9)
@@ -109,7 +109,7 @@ UNSUPPORTED = (
 
 
 @pytest.mark.parametrize("env_id", UNSUPPORTED)
-def test_unsupported_environments_are_told_what_is_supported(env_id):
+def test_unsupported_environments_are_refused_with_the_supported_ones(env_id):
     env = gym.make(env_id)
     env.reset(seed=0)
     with pytest.raises(SceneError, match="supports"):
@@ -133,7 +133,7 @@ def network_of(*lanes):
     ],
     ids=["not parallel", "not aligned", "two widths"],
 )
-def test_lanes_must_be_parallel_aligned_and_of_one_width(network):
+def test_lanes_have_to_be_parallel_aligned_and_of_equal_width(network):
     with pytest.raises(SceneError, match="parallel, aligned and of one width"):
         StraightRoad.from_network(network)
 

@@ -1,4 +1,4 @@
-"""What a lot is read as, and what is no lot."""
+"""Parking lots as scenes, and refusals of other environments."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -41,18 +41,18 @@ def test_the_goal_is_nothing_to_be_hit():
     assert gaps(lot.ego[:4], (5.0, 2.0), lot.boxes, lot.dt)[0].min() > 0
 
 
-def test_what_moves_is_seen():
+def test_a_moving_obstacle_is_marked():
     env = parking(vehicles_count=3)
     env.unwrapped.road.vehicles[2].speed = -0.01
     assert Lot.from_env(env).moving.tolist() == [False, True, False, *[False] * 4]
 
 
 @pytest.mark.parametrize("name", ["parking-v0", "parking-parked-v0", "parking-ActionRepeat-v0"])
-def test_what_derives_from_parking_is_a_lot(name):
+def test_an_environment_derived_from_parking_is_a_lot(name):
     assert is_lot(gym.make(name))
 
 
-def test_what_is_no_lot_is_refused():
+def test_an_environment_without_a_lot_is_refused():
     env = gym.make("highway-fast-v0")
     assert not is_lot(env)
     with pytest.raises(SceneError, match="ParkingEnv"):
@@ -61,7 +61,7 @@ def test_what_is_no_lot_is_refused():
         LotReader(gym.make("parking-v0", config={"controlled_vehicles": 2}))
 
 
-def test_before_the_first_reset_there_is_nothing_to_read():
+def test_reading_before_the_first_reset_is_an_error():
     reader = LotReader(parking())
     reader._env.road = None
     with pytest.raises(SceneError, match="reset"):
@@ -79,14 +79,14 @@ def test_before_the_first_reset_there_is_nothing_to_read():
         ({"obstacles": CARS * [1, 1, 1, 1, 1, 0]}, "positive"),
     ],
 )
-def test_what_cannot_be_is_refused(changes, message):
+def test_an_invalid_lot_is_refused(changes, message):
     with pytest.raises(SceneError, match=message):
         Lot(**{"ego": EGO, "obstacles": CARS, "dt": 0.1, **changes})
 
 
 @pytest.mark.parametrize("column", range(6))
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_what_is_not_finite_is_seen(column, value):
+def test_a_value_that_is_not_finite_is_detected(column, value):
     ego, cars = EGO.copy(), CARS.copy()
     ego[column] = value
     assert not Lot(ego, CARS, 0.1).finite

@@ -1,4 +1,4 @@
-"""Scenes on curved roads: read only by those who ask for them, with s continuous around the ego."""
+"""Scenes on curved roads: read only on request, with s continuous around the ego."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -13,7 +13,7 @@ from dynamics.state import RoadState
 
 
 @pytest.mark.parametrize("name", ["racetrack-v0", "racetrack-oval-v0"])
-def test_a_curved_road_is_refused_unless_it_is_asked_for(name):
+def test_a_curved_road_is_refused_unless_requested(name):
     env = gym.make(name)
     env.reset(seed=0)
     with pytest.raises(SceneError, match="straight parallel lanes"):

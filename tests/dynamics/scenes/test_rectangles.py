@@ -1,4 +1,4 @@
-"""Gaps are positive exactly where rectangles are apart; collisions to come are those that highway-env sees coming."""
+"""Gaps are positive exactly where rectangles are apart; predicted collisions are those that highway-env predicts."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def filled(box, n=13):
 
 @settings(deadline=None, max_examples=300)
 @given(EGO, BOX)
-def test_they_have_the_signs_of_highway_envs_own_check(ego, box):
+def test_gaps_have_the_signs_of_highway_envs_own_check(ego, box):
     now, coming = of(ego, box)
     assume(min(abs(now[0]), abs(coming[0])) > 1e-9)
     car = Vehicle(None, ego[:2], ego[2], ego[3])
@@ -60,7 +60,7 @@ def test_the_distance_is_never_less_than_the_gap(ego, box):
 
 
 @given(EGO, BOX)
-def test_what_is_to_come_is_never_further_than_what_is(ego, box):
+def test_the_coming_gap_is_never_larger_than_the_present_one(ego, box):
     now, coming = of(ego, box)
     assert coming[0] <= now[0] + 1e-12
     ego[3] = 0.0
@@ -68,7 +68,7 @@ def test_what_is_to_come_is_never_further_than_what_is(ego, box):
 
 
 @given(EGO, BOX, st.floats(-4, 4), st.floats(-50, 50))
-def test_they_do_not_depend_on_the_frame(ego, box, angle, shift):
+def test_gaps_do_not_depend_on_the_coordinate_frame(ego, box, angle, shift):
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     moved = [x.copy() for x in (ego, box)]
     for x in moved:

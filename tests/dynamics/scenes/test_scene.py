@@ -1,4 +1,4 @@
-"""Scenes: read from the simulator as they are, and refused when they cannot be one."""
+"""Scenes equal the simulator's state; a state that is no scene is refused."""
 
 from dataclasses import replace
 
@@ -36,7 +36,7 @@ def env():
     env.close()
 
 
-def test_the_scene_is_what_the_simulator_holds(env):
+def test_the_scene_is_the_state_of_the_simulator(env):
     scene = Scene.from_env(env)
     base = env.unwrapped
     ego = base.vehicle
@@ -159,7 +159,7 @@ def test_several_controlled_vehicles_are_refused():
         SceneReader(gym.make("highway-fast-v0", config=config))
 
 
-def test_a_missing_road_says_what_to_do():
+def test_a_missing_road_is_an_error_that_names_reset():
     env = gym.make("highway-fast-v0")
     reader = SceneReader(env)
     env.unwrapped.road = None

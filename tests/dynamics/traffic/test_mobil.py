@@ -1,4 +1,4 @@
-"""Who gains by a lane change, against highway-env's own MOBIL."""
+"""Lane-change incentives against highway-env's own MOBIL."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -17,7 +17,7 @@ SIGHT = 3.0
 
 
 def gains(states, *args, ego=None):
-    """Who gains by a change to either side, (m, 2) bool."""
+    """Vehicles with an incentive to change to either side, (m, 2) bool."""
     out = np.empty((len(states), 2), dtype=bool)
     nobody = np.array([-np.inf, 0.0, 0.0, 0.0]) if ego is None else ego
     mobil.gains(states, states[:, 3] * np.sin(states[:, 2]), *args, nobody, np.ones_like(out), out)
@@ -40,7 +40,7 @@ def lanes_wanted(env):
 
 
 def test_the_constants_are_highway_envs():
-    """What the certificate counts on is what the simulator, which asks the classes themselves, drives with."""
+    """The constants of the certificate are those that the simulator reads from highway-env's classes."""
     known = constants_of(IDMVehicle)
     assert known[[DISTANCE, TIME, TWICE_ROOT, COMFORT, GAIN]].tolist() == [
         mobil.GAP,
@@ -51,7 +51,7 @@ def test_the_constants_are_highway_envs():
     ]
 
 
-def test_whoever_would_change_lanes_gains_by_it():
+def test_a_vehicle_that_would_change_lanes_has_an_incentive():
     env = gym.make("highway-fast-v0", config={"vehicles_density": 1.5})
     reader, found = SceneReader(env), 0
     for k in range(160):
@@ -63,7 +63,8 @@ def test_whoever_would_change_lanes_gains_by_it():
         lane = np.abs(scene.others_road[:, 1, None] - centers).argmin(axis=1)
         edges = scene.others_road[:, 1] - 1.25, scene.others_road[:, 1] + 1.25
         exact = gains(scene.others_road, lane, *edges, centers, SIGHT, 0.0)
-        # highway-env knows the new follower's wish and its own: what it lets in is part of what gains.
+        # highway-env knows the desired speeds of the new follower and the vehicle; the incentive covers all that it
+        # permits.
         settled = np.abs(scene.others_road[:, 1] - centers[lane]) < 0.05
         assert not (wanted & ~exact)[settled].any()
         assert not (exact & ~gains(scene.others_road, lane, *edges, centers, SIGHT, 1.0)).any()
@@ -72,29 +73,29 @@ def test_whoever_would_change_lanes_gains_by_it():
     assert found > 10
 
 
-def test_who_is_held_up_gains_and_who_is_not_does_not():
+def test_a_blocked_vehicle_has_an_incentive_and_a_free_one_has_none():
     lane, centers = np.array([0, 0, 1]), np.array([0.0, 4.0])
     states = np.array([[0.0, 0.0, 0.0, 20.0], [30.0, 0.0, 0.0, 10.0], [60.0, 4.0, 0.0, 20.0]])
     edges = states[:, 1] - 1.25, states[:, 1] + 1.25
     assert gains(states, lane, *edges, centers, SIGHT, 0.0).tolist() == [[False, True], [False, False], [False, False]]
-    # Not into a lane where the next behind would have to brake hard.
+    # Not into a lane where the new follower would have to brake hard.
     states[2] = [-5.0, 4.0, 0.0, 25.0]
     assert not gains(states, lane, *edges, centers, SIGHT, 0.0)[0].any()
 
 
-def test_who_is_about_to_be_held_up_gains_too():
-    """Somebody slower who is on the way into the lane counts, before MOBIL sees it there."""
+def test_a_vehicle_about_to_be_blocked_has_an_incentive():
+    """A slower vehicle on its way into the lane counts before MOBIL sees it there."""
     lane, centers = np.array([1, 2]), np.array([0.0, 4.0, 8.0])
     states = np.array([[0.0, 4.0, 0.0, 20.0], [30.0, 7.1, -0.3, 10.0]])
     straight, turning = np.array([2.75, 6.75]), np.array([2.75, 2.75])
     high = np.array([5.25, 9.25])
     assert not gains(states, lane, straight, high, centers, SIGHT, 0.0)[0].any()
-    # To either side: that one is on the way out of the lane above, too.
+    # To either side, because that vehicle is on its way out of the lane above, too.
     assert gains(states, lane, turning, high, centers, SIGHT, 0.0)[0].tolist() == [True, True]
 
 
-def test_who_is_leaving_a_lane_is_nobodys_leader_there():
-    """A slow one on its way out: by the time that somebody else enters, it is gone."""
+def test_a_vehicle_that_leaves_a_lane_is_no_leader_there():
+    """A slow vehicle on its way out of a lane has left it by the time that another one enters."""
     lane, centers = np.array([2, 0, 2]), np.array([0.0, 4.0, 8.0])
     states = np.array([[0.0, 8.0, 0.0, 18.0], [60.0, 1.07, -0.2, 14.5], [60.0, 8.0, 0.0, 16.0]])
     edges = states[:, 1] - 1.25, states[:, 1] + 1.25
@@ -113,7 +114,7 @@ def test_an_ego_ahead_is_a_reason_to_leave_the_lane():
 
 
 def asked_one_by_one(states, lane, low, high, centers, slack, ego):
-    """MOBIL's questions as they stand, to everybody about everybody."""
+    """The formulas of MOBIL, vehicle by vehicle, for each pair."""
     across, wanted = states[:, 3] * np.sin(states[:, 2]), np.zeros((len(states), 2), bool)
 
     def held_up(v, speed, gap):
@@ -139,7 +140,7 @@ def asked_one_by_one(states, lane, low, high, centers, slack, ego):
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.sampled_from([0.0, 1.0]))
-def test_who_gains_is_who_would_if_asked_one_by_one(seed, m, slack):
+def test_incentives_are_those_of_the_formulas_vehicle_by_vehicle(seed, m, slack):
     """Places are multiples of 3 m, so that some are as far along the road as others."""
     rng, centers = np.random.default_rng(seed), np.array([0.0, 4.0, 8.0, 12.0])
     lane = rng.integers(4, size=m)

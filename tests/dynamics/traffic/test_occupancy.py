@@ -23,7 +23,7 @@ def rows_of(states, crashed=0.0):
     return np.column_stack([states, np.tile([5.0, 2.0, crashed], (len(states), 1))])
 
 
-def test_where_a_vehicle_can_be_across_the_road_is_told_by_the_lanes_that_it_touches():
+def test_the_lateral_bound_of_a_vehicle_follows_from_the_lanes_that_it_touches():
     states = np.array(
         [
             [0, 4.0, 0.0, 25.0],  # in the middle of lane 1
@@ -56,7 +56,7 @@ def test_a_wreck_is_contained(speed, dt):
         assert s + 2.5 <= occ.front[0, k] + 1e-9
 
 
-def test_a_standing_vehicle_may_start_and_reverses_from_what_stands_close_ahead_only():
+def test_a_standing_vehicle_may_start_and_reverses_only_from_a_near_standing_one():
     state = np.array([[50.0, 4.0, 0.0, 0.0]])
     occ = Surroundings(rows_of(state), state, ROAD, Assumptions.idm(), 0.2).occupancy(FRAMES)
     np.testing.assert_array_equal(occ.rear[0], occ.rear[0, 0])

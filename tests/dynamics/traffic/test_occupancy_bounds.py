@@ -24,12 +24,12 @@ def test_the_rear_bound_is_that_of_a_braking_vehicle(frames, ahead, calm):
     assert (bound[:-1] <= way[: frames - 1] - 2.5 + 1e-9).all()
     assert bound[-1] <= way[-1] - 2.5
     assert around.bodies.floor[0] <= way[-1]
-    # And no further back than what turning may take, and the diagonal.
+    # And no further back than turning may cost, and the diagonal.
     assert (bound[: min(frames - 1, 25)] >= way[: min(frames - 1, 25)] - 2.7 - 2.5).all()
 
 
 def test_the_last_frame_of_the_bound_holds_for_all_later_frames():
-    """One that stands 6 m behind another may reverse until it is 8 m away from it."""
+    """A vehicle that stands 6 m behind another may reverse until it is 8 m away from it."""
     rows = np.array([[s, 0.0, 0.0, 0.0, *BODY] for s in (14.0, 20.0)])
     around = Surroundings(rows, rows[:, :4], StraightRoad.from_lanes(1), CONFIG.assumptions, DT)
     rears = [around.rear(frames)[0] for frames in (3, 200)]

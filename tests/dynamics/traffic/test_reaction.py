@@ -1,4 +1,4 @@
-"""How hard one may brake: what is ahead asks for it, in highway-env's own traffic as well."""
+"""Braking limits of a vehicle follow from the vehicles ahead of it, in highway-env's own traffic as well."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ IDM = Assumptions.idm()
 
 
 def brakes(*vehicles: tuple[float, ...], assumptions: Assumptions = IDM, ego: float = np.nan) -> np.ndarray:
-    """What vehicles at (s, r, speed), and perhaps crashed, may do in the coming frames, (m, K)."""
+    """Permitted braking of vehicles at (s, r, speed), and perhaps crashed, in the coming frames, (m, K)."""
     rows = np.array([[s, r, 0.0, v, 5.0, 2.0, *(crashed or [0.0])] for s, r, v, *crashed in vehicles])
     road = StraightRoad.from_lanes(3)
     return Surroundings(rows, rows[:, :4], road, assumptions, DT, None, ego).bodies.brakes
 
 
-def test_nobody_brakes_hard_on_a_free_road() -> None:
+def test_no_vehicle_brakes_hard_on_a_free_road() -> None:
     assert (brakes((0.0, 0.0, 25.0))[0] == IDM.calm_braking).all()
     assert (brakes((0.0, 0.0, 25.0), (-9.0, 0.0, 30.0), (300.0, 0.0, 25.0))[0] == IDM.calm_braking).all()
     assert (brakes((0.0, 0.0, 25.0), (610.0, 0.0, 0.0))[0] == IDM.calm_braking).all()
 
 
-def test_the_nearer_and_the_slower_one_is_ahead_the_harder_and_the_sooner() -> None:
+def test_a_nearer_or_slower_leader_permits_harder_and_earlier_braking() -> None:
     bounds = [brakes((0.0, 0.0, 20.0), (s, 0.0, 20.0))[0] for s in (25.0, 35.0, 45.0, 60.0, 90.0)]
     bounds += [brakes((0.0, 0.0, 20.0), (90.0, 0.0, v))[0] for v in (25.0, 30.0)]
     for near, far in pairwise(bounds):
@@ -46,13 +46,13 @@ def test_the_nearer_and_the_slower_one_is_ahead_the_harder_and_the_sooner() -> N
     assert all((np.diff(bound) >= -1e-9).all() for bound in bounds)
 
 
-def test_one_whose_leader_has_a_free_road_brakes_later_than_one_whose_leader_does_not() -> None:
+def test_a_follower_of_a_free_leader_brakes_later_than_one_of_a_blocked_leader() -> None:
     free = brakes((0.0, 0.0, 20.0), (60.0, 0.0, 20.0))[0]
     held_up = brakes((0.0, 0.0, 20.0), (60.0, 0.0, 20.0), (80.0, 0.0, 5.0))[0]
     assert held_up.sum() > free.sum() + 1
 
 
-def test_one_in_another_lane_asks_for_something_once_it_may_come_in() -> None:
+def test_a_vehicle_in_another_lane_permits_braking_once_it_may_enter() -> None:
     alone = IDM.calm_braking * 30
     ahead = brakes((0.0, 0.0, 20.0), (30.0, 4.0, 20.0))[0]
     assert ahead[0] == IDM.braking  # MOBIL lets it come in at once
@@ -66,7 +66,7 @@ def test_one_in_another_lane_asks_for_something_once_it_may_come_in() -> None:
     assert brakes((0.0, 0.0, 20.0), (-60.0, 4.0, 20.0))[0].sum() == pytest.approx(alone)
 
 
-def test_one_from_two_lanes_over_does_not_look_out_for_who_enters_the_lane_between() -> None:
+def test_a_vehicle_two_lanes_over_does_not_consider_entrants_of_the_lane_between() -> None:
     next_to = brakes((0.0, 0.0, 20.0), (12.0, 4.0, 20.0))[0]
     assert (next_to[:6] == IDM.calm_braking).all()  # too near for MOBIL to let it in
     beyond = brakes((0.0, 0.0, 20.0), (12.0, 8.0, 20.0))[0]
@@ -74,7 +74,7 @@ def test_one_from_two_lanes_over_does_not_look_out_for_who_enters_the_lane_betwe
     assert beyond[2] == IDM.braking
 
 
-def test_who_may_brake_as_hard_as_can_be() -> None:
+def test_cases_in_which_the_hardest_braking_is_permitted() -> None:
     assert (brakes((0.0, 0.0, 20.0), ego=1.0) == IDM.braking).all()  # it may have the ego to brake for
     assert (brakes((0.0, 0.0, 20.0), ego=-1.0) == IDM.calm_braking).all()
     assert (brakes((0.0, 0.0, 20.0, 1.0)) == IDM.braking).all()
@@ -83,9 +83,9 @@ def test_who_may_brake_as_hard_as_can_be() -> None:
 
 
 @pytest.mark.parametrize("rate", [5, 15])
-def test_highway_envs_own_traffic_brakes_no_harder_than_that(rate: int) -> None:
-    """But for lane changes that make one brake harder than MOBIL looks for, of which there are hardly any; and each
-    bound holds what comes after it."""
+def test_highway_envs_own_traffic_brakes_no_harder_than_permitted(rate: int) -> None:
+    """Except after the rare lane changes that make a vehicle brake harder than MOBIL checks. Each bound also covers
+    the later ones."""
     config = {"simulation_frequency": rate, "lanes_count": 3, "vehicles_count": 20, "vehicles_density": 1.5}
     frames, hard, harder, grown = 0, 0, 0, 0
     for seed in range(3):
@@ -111,8 +111,8 @@ def test_highway_envs_own_traffic_brakes_no_harder_than_that(rate: int) -> None:
 
 
 @pytest.mark.parametrize("speed", [20.0, 30.0, 40.0])
-def test_what_stands_far_ahead_is_counted_on_before_it_asks_for_anything(speed: float) -> None:
-    """From one frame to the next, nobody may brake harder than was to be expected: out of the distance, too."""
+def test_a_distant_standing_vehicle_is_covered_by_the_bound_in_advance(speed: float) -> None:
+    """From one frame to the next the permitted braking does not exceed the prediction, also from a distance."""
     old = brakes((0.0, 0.0, speed), (620.0, 0.0, 0.0))[0]
     for at in np.arange(speed * DT, 620.0, speed * DT):
         new = brakes((at, 0.0, speed), (620.0, 0.0, 0.0))[0]
@@ -122,7 +122,8 @@ def test_what_stands_far_ahead_is_counted_on_before_it_asks_for_anything(speed: 
 
 
 def asked_of_everybody(rows: np.ndarray, ego: float) -> np.ndarray:
-    """What each may do, (m, K), with everybody asked about every frame: the formulas of `dynamics.traffic.reaction`."""
+    """The permitted braking, (m, K), evaluated for each vehicle and frame: the formulas of
+    `dynamics.traffic.reaction`."""
     a, m, frames = IDM, len(rows), 30
     s, r, v, wrecked = rows[:, 0], rows[:, 1], rows[:, 3], rows[:, 6] > 0
 
@@ -177,7 +178,7 @@ def asked_of_everybody(rows: np.ndarray, ego: float) -> np.ndarray:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 9))
-def test_who_is_not_asked_any_more_would_have_asked_for_nothing(seed: int, m: int) -> None:
+def test_vehicles_skipped_by_the_search_do_not_change_the_bound(seed: int, m: int) -> None:
     rng = np.random.default_rng(seed)
     rows = np.zeros((m, 7))
     rows[:, 0], rows[:, 1] = rng.uniform(0, rng.choice([40.0, 120.0, 400.0]), m), 4.0 * rng.integers(0, 3, m)

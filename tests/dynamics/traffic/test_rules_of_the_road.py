@@ -1,4 +1,4 @@
-"""The bound holds whatever a vehicle does, for as long as the predicate has nothing to say against it."""
+"""The bound holds for every motion of a vehicle without a violation."""
 
 from __future__ import annotations
 
@@ -72,9 +72,9 @@ class Driver:
 
 @LIMITS
 @given(st.integers(0, 2**32 - 1), st.sampled_from(RATES), st.integers(1, 4))
-def test_what_is_permitted_stays_inside_the_bound_and_the_bound_inside_itself(seed: int, dt: float, count: int) -> None:
-    """Whatever inputs a vehicle has: as long as it breaks no rule and takes no more room, its body is where it could
-    be, and where it can be from now on is part of where it could be before."""
+def test_a_permitted_motion_stays_inside_the_bound_and_does_not_extend_it(seed: int, dt: float, count: int) -> None:
+    """For any inputs: while a vehicle breaks no rule and takes no more room, its body stays inside the bound, and
+    each new bound is part of the one before."""
     rng = np.random.default_rng(seed)
     vehicles = random_vehicles(rng, count)
     drivers = [Driver(rng) for _ in vehicles]
@@ -104,9 +104,9 @@ def test_what_is_permitted_stays_inside_the_bound_and_the_bound_inside_itself(se
 
 @LIMITS
 @given(st.integers(0, 2**32 - 1), st.sampled_from(RATES), st.floats(0.0, 0.3))
-def test_what_turning_takes_on_a_bend_stays_inside_the_bound(seed: int, dt: float, lag: float) -> None:
-    """On the racetrack, where a metre driven is 0.7 to 1.5 of the path: what a vehicle may lose of its way is counted
-    in the metres in which it is foreseen."""
+def test_turning_on_a_bend_stays_inside_the_bound(seed: int, dt: float, lag: float) -> None:
+    """On the racetrack a driven metre is 0.7 to 1.5 m of the path. The travel that a vehicle may lose by turning is
+    counted in metres of the path."""
     road, rng = racetrack(), np.random.default_rng(seed)
     state = np.array([[rng.uniform(0, road.length), rng.choice(road.centers), 0.0, rng.uniform(3, 15)]])
 
@@ -174,7 +174,7 @@ def test_highway_envs_own_traffic_keeps_to_the_rules(kind: type, rate: int, dens
 
 
 def two(first: tuple[float, ...], second: tuple[float, ...], dt: float = 0.1) -> tuple[int, int]:
-    """What is said of one vehicle, (s, r, heading, speed) before and after."""
+    """The result for one vehicle, (s, r, heading, speed) before and after."""
     rows = [np.array([[*x, 5.0, 2.0, 0.0]]) for x in (first, second)]
     old = around(rows[0], dt)
     found = permits(old, around(rows[1], dt, old), dt, np.zeros(1, dtype=bool), FAR)
@@ -191,7 +191,7 @@ def two(first: tuple[float, ...], second: tuple[float, ...], dt: float = 0.1) ->
         ((0, 4, 0, 20), (2, 4, 0, 20.7), Rule.SPEED, None),
         ((0, 4, 0, -5.8), (-0.58, 4, 0, -6.3), Rule.SPEED, None),
         ((0, 4, 0, 20), (2.1, 4, 0, 20), Rule.WAY, None),
-        ((0, 4, 0, 20), (1.53, 4, 0, 20), 0, None),  # what turning may cost
+        ((0, 4, 0, 20), (1.53, 4, 0, 20), 0, None),  # the permitted loss by turning
         ((0, 4, 0, 20), (1.52, 4, 0, 20), Rule.WAY, None),
         ((0, 4, 0, 12), (0.42, 4, 0, 12), 0, None),
         ((0, 4, 0, 12), (0.4, 4, 0, 12), Rule.WAY, None),
@@ -210,7 +210,7 @@ def two(first: tuple[float, ...], second: tuple[float, ...], dt: float = 0.1) ->
         ((0, 4, 0, 0), (0, 4, 0, -0.3), 0, Rule.REVERSING),
     ],
 )
-def test_the_rules_one_by_one(before, after, broken, grown):
+def test_each_rule_has_its_threshold(before, after, broken, grown):
     found = two(before, after)
     assert found[0] == int(broken)
     if grown is not None:
@@ -220,8 +220,8 @@ def test_the_rules_one_by_one(before, after, broken, grown):
 @pytest.mark.parametrize(
     ("speed", "lost", "frames"), [(20.0, 0.1, 5), (20.0, 0.04, 44), (12.0, 0.1, 9), (6.0, 0.1, 31)]
 )
-def test_what_turning_may_cost_is_used_up(speed: float, lost: float, frames: int) -> None:
-    """Within a second, or in the course of time."""
+def test_the_permitted_loss_by_turning_is_used_up(speed: float, lost: float, frames: int) -> None:
+    """Within a second, or over a longer time."""
     dt, row = 0.1, np.array([[0.0, 4.0, 0.0, speed, 5.0, 2.0, 0.0]])
     old, count = around(row, dt), 0
     while True:
@@ -234,7 +234,7 @@ def test_what_turning_may_cost_is_used_up(speed: float, lost: float, frames: int
 
 
 @pytest.mark.parametrize(("length", "frames"), [(5.0, 6), (12.0, 14)])
-def test_a_long_one_may_lose_more_by_turning(length: float, frames: int) -> None:
+def test_a_long_vehicle_may_lose_more_by_turning(length: float, frames: int) -> None:
     dt, row = 0.1, np.array([[0.0, 4.0, 0.0, 20.0, length, 2.0, 0.0]])
     old, count = around(row, dt), 0
     while count < 100:
@@ -246,8 +246,8 @@ def test_a_long_one_may_lose_more_by_turning(length: float, frames: int) -> None
     assert count == frames
 
 
-def test_one_that_is_cut_in_on_may_brake_and_that_is_noticed() -> None:
-    """By the one before it, nearer than MOBIL would let it move in; where there is the distance, it was expected."""
+def test_a_vehicle_behind_a_cut_in_may_brake_and_the_bound_grows() -> None:
+    """The vehicle ahead cuts in nearer than MOBIL permits. At a larger distance the braking was predicted."""
     for gap, grown in ((6.0, int(Rule.BRAKING)), (35.0, 0)):
         rows = np.array([[0.0, 4.0, 0.0, 20.0, 5.0, 2.0, 0.0], [gap, 0.9, 0.0, 20.0, 5.0, 2.0, 0.0]])
         old = around(rows, 0.1)
@@ -258,7 +258,7 @@ def test_one_that_is_cut_in_on_may_brake_and_that_is_noticed() -> None:
         assert permits(old, new, 0.1, np.zeros(2, dtype=bool), FAR).grown[0] == grown
 
 
-def test_whoever_is_behind_stays_behind_the_buffer():
+def test_a_follower_with_an_obligation_stays_behind_the_buffer():
     row = np.array([0.0, 0.0, 0.0, 20.0, 5.0, 2.0, 0.0])
     old = around(row[None], 0.1)
     new = around(row[None] + np.array([2.0, 0, 0, 0, 0, 0, 0]), 0.1, old)
@@ -268,7 +268,7 @@ def test_whoever_is_behind_stays_behind_the_buffer():
         assert permits(old, new, 0.1, np.zeros(1, dtype=bool), ego).broken[0] == 0
 
 
-def test_one_that_crashes_breaks_a_rule_unless_the_ego_has_run_into_it():
+def test_a_crash_breaks_a_rule_unless_the_ego_caused_it():
     row = np.array([0.0, 0.0, 0.0, 20.0, 5.0, 2.0, 0.0])
     old = around(row[None], 0.1)
     new = around(row[None] + np.array([2.0, 0, 0, 0, 0, 0, 1.0]), 0.1, old)

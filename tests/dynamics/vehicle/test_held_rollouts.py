@@ -18,7 +18,7 @@ states = st.tuples(st.floats(-2, 6), st.floats(-0.3, 0.3), st.floats(0, 35)).map
 @given(
     st.lists(states, min_size=1, max_size=5), st.integers(1, 5), st.floats(1, 9.8), st.sampled_from([0.0, 0.1, 0.78])
 )
-def test_it_is_the_law_sampled_once_in_a_period(given_states, hold, braking, wheel):
+def test_a_held_rollout_samples_the_braking_law_once_a_period(given_states, hold, braking, wheel):
     x0, dt, periods = np.array(given_states), 0.1, 7
     stops = np.array([[4.0 * (i % 2), braking, wheel] for i in range(len(x0))])
     got = HeldRollouts(dt, hold).run(x0, stops, periods)

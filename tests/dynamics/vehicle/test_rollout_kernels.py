@@ -1,4 +1,4 @@
-"""Compiled rollouts of raw inputs, and of commands on curved roads, are what highway-env's vehicles do."""
+"""Compiled rollouts of inputs, and of commands on curved roads, equal the motion of highway-env's vehicles."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -33,7 +33,7 @@ def state_of(vehicle):
 
 
 def drive(state, inputs, dt):
-    """What a vehicle of highway-env does under (acceleration, wheel angle), in the world, after each frame."""
+    """The motion of a vehicle of highway-env under (acceleration, wheel angle), in the world, after each frame."""
     vehicle = Vehicle(None, state[:2].copy(), state[2], state[3])
     states = []
     for acceleration, steering in inputs:
@@ -146,7 +146,7 @@ def test_a_step_across_several_joints_is_exact(roads, name):
     assert several > 5
 
 
-def test_on_a_straight_path_the_curved_functions_are_the_straight_ones():
+def test_rollouts_on_a_path_without_curvature_are_those_of_a_straight_road():
     road = PathRoad(Arcs(np.array([[1.0, 2, 0.3]]), np.zeros(1), np.array([500.0])), np.array([0.0, 4.0]))
     rng = np.random.default_rng(7)
     for dt in (1 / 5, 1 / 15):
@@ -163,7 +163,7 @@ def test_on_a_straight_path_the_curved_functions_are_the_straight_ones():
             np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-8)
 
 
-def test_a_straight_road_is_rolled_out_as_without_one():
+def test_rollouts_with_a_straight_road_are_those_without_a_road():
     state, commands = np.array([0.0, 1.0, 0.1, 20.0]), np.tile([4.0, 25.0, NO_LIMIT], (3, 8, 1))
     road = StraightRoad.from_lanes(3)
     np.testing.assert_array_equal(Rollouts(0.2, road).run(state, commands), Rollouts(0.2).run(state, commands))

@@ -203,7 +203,7 @@ def test_the_nearest_target_speed_is_that_of_the_simulator(speeds):
         assert speed_to_index(float(speed), speeds) == vehicle.speed_to_index(speed)
 
 
-def test_rollouts_do_not_depend_on_what_ran_before():
+def test_rollouts_do_not_depend_on_earlier_rollouts():
     rng, state = np.random.default_rng(5), np.array([0.0, 0.0, 0.05, 25.0])
     commands = np.dstack([rng.uniform(0, 12, (3, 7)), rng.uniform(0, 40, (3, 7)), np.full((3, 7), NO_LIMIT)])
     used = Rollouts(0.2)

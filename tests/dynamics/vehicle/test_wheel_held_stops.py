@@ -32,7 +32,7 @@ def simulate(state, inputs, hold, braking, dt, period, frames):
 
 @settings(deadline=None)
 @given(STATE, INPUTS, HOLD, BRAKING, DT, st.integers(1, 5))
-def test_it_is_the_simulator(state, inputs, hold, braking, dt, period):
+def test_the_closed_form_of_a_stop_equals_the_simulator(state, inputs, hold, braking, dt, period):
     paths = stops(state, inputs, hold, braking, dt, period)
     assert paths.shape[0] == len(inputs)
     assert (paths.shape[1] - hold) % period == 0
@@ -42,7 +42,7 @@ def test_it_is_the_simulator(state, inputs, hold, braking, dt, period):
 
 @settings(deadline=None)
 @given(STATE, INPUTS, HOLD, BRAKING, DT, st.integers(1, 5))
-def test_it_ends_at_rest_and_never_turns_back(state, inputs, hold, braking, dt, period):
+def test_a_stop_ends_at_rest_and_never_reverses(state, inputs, hold, braking, dt, period):
     speed = stops(state, inputs, hold, braking, dt, period)[:, hold - 1 :, State.SPEED]
     assert (speed[:, -1] == 0).all()
     assert (np.diff(np.abs(speed), axis=1) <= 1e-12).all()
@@ -50,7 +50,7 @@ def test_it_ends_at_rest_and_never_turns_back(state, inputs, hold, braking, dt, 
 
 
 @given(STATE, INPUTS, HOLD, BRAKING, DT)
-def test_a_stop_goes_on_as_it_was_foreseen(state, inputs, hold, braking, dt):
+def test_the_remainder_of_a_stop_stays_on_the_predicted_path(state, inputs, hold, braking, dt):
     """Recursive feasibility: one more period of braking with the same wheel stays on the path."""
     path = stops(state, inputs[:1], hold, braking, dt, hold)[0]
     if len(path) == hold:

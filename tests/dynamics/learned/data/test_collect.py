@@ -1,4 +1,4 @@
-"""Collecting: what parking really does, own generator, terminal transitions, any action space."""
+"""Collection of transitions: the motion in parking, the own generator, terminal transitions, any action space."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_the_last_transition_of_an_episode_that_ended_by_itself_is_dropped(end, 
 
 @settings(deadline=None)
 @given(st.integers(1, 6), st.integers(1, 40), st.booleans())
-def test_one_that_was_cut_off_is_kept(limit, n, by_option):
+def test_the_last_transition_of_a_truncated_episode_is_kept(limit, n, by_option):
     env = Countdown() if by_option else Countdown(limit=limit)
     data = gather(env, n, episode_steps=limit if by_option else None)
     assert data.next_states.max() == min(limit, n)
@@ -84,7 +84,7 @@ def test_episodes_are_reset_with_seeds_of_training(seed):
 
 @settings(deadline=None)
 @given(st.integers(0, 99))
-def test_actions_of_a_box_become_minus_one_to_one(seed):
+def test_actions_of_a_box_are_scaled_to_minus_one_to_one(seed):
     env = Countdown(limit=4)
     data = gather(env, 12, seed)
     np.testing.assert_allclose(data.actions * 4 + 2, np.array(env.actions), atol=1e-6)
@@ -92,7 +92,7 @@ def test_actions_of_a_box_become_minus_one_to_one(seed):
     assert np.ptp(data.actions) > 0.5
 
 
-def test_discrete_actions_become_one_hot():
+def test_discrete_actions_are_collected_one_hot():
     env = Countdown(limit=4, space=spaces.Discrete(3))
     data = gather(env, 30)
     np.testing.assert_array_equal(data.actions, np.eye(3)[env.actions])
@@ -107,7 +107,7 @@ class Alternating:
         return np.array([9.0 if count % 2 else -2.0]), count + 1
 
 
-def test_any_policy_with_predict_drives_and_its_state_goes_round():
+def test_any_policy_with_predict_drives_and_gets_its_state_back():
     data = gather(Countdown(limit=3), 6, policy=Alternating())
     np.testing.assert_array_equal(data.actions[:, 0], [-1, 1, -1, -1, 1, -1])
     assert data.origin["policy"] == "Alternating"
@@ -115,7 +115,7 @@ def test_any_policy_with_predict_drives_and_its_state_goes_round():
 
 @settings(deadline=None)
 @given(st.integers(1, 6), st.integers(0, 99))
-def test_a_random_action_is_held_for_so_long_at_most(hold, seed):
+def test_a_random_action_is_held_for_a_limited_time(hold, seed):
     policy = RandomPolicy(spaces.Box(-1, 1, (2,)), np.random.default_rng(seed), hold)
     actions = np.array([policy.predict(None)[0] for _ in range(60)])
     lengths = np.diff(np.flatnonzero(np.r_[True, (np.diff(actions, axis=0) != 0).any(axis=1), True]))
@@ -125,8 +125,8 @@ def test_a_random_action_is_held_for_so_long_at_most(hold, seed):
 
 @settings(deadline=None)
 @given(st.integers(0, 9))
-def test_parking_does_what_the_bicycle_does(seed):
-    """In SI units, without what a crash does, to rounding."""
+def test_parking_moves_like_the_bicycle(seed):
+    """In SI units, without the effect of a crash, up to rounding."""
     env = gym.make("parking-v0")
     data = collect(env, None, 25, seed, state=parking.state, dt=parking.DT, hold=5)
     env.close()
@@ -134,7 +134,7 @@ def test_parking_does_what_the_bicycle_does(seed):
     np.testing.assert_allclose(BicycleModel().step(data.states, data.actions), data.next_states, atol=1e-5)
 
 
-test_parking_does_what_the_bicycle_does = pytest.mark.filterwarnings("ignore")(test_parking_does_what_the_bicycle_does)
+test_parking_moves_like_the_bicycle = pytest.mark.filterwarnings("ignore")(test_parking_moves_like_the_bicycle)
 
 
 @settings(deadline=None)
@@ -146,12 +146,12 @@ def test_states_and_observations_are_inverse(values):
 
 
 @pytest.mark.parametrize("bad", [np.zeros(6), {}, {"observation": np.zeros(5)}, {"observation": "x"}, None])
-def test_what_is_no_parking_observation_is_refused(bad):
+def test_an_observation_of_another_environment_than_parking_is_refused(bad):
     with pytest.raises(DataError, match="observation"):
         parking.state(bad)
 
 
-def test_what_cannot_be_collected_is_refused():
+def test_invalid_collection_settings_are_refused():
     with pytest.raises(ConfigError, match="must be positive"):
         gather(Countdown(), 0)
     with pytest.raises(ConfigError, match="hold"):

@@ -1,4 +1,4 @@
-"""Transitions survive the way through Minari bit for bit; what cannot be read is said."""
+"""Transitions survive a round trip through Minari bit for bit; an unreadable data set is an error with a reason."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def minari():
     st.integers(0, 2**32 - 1),
 )
 @settings(max_examples=15, deadline=None)
-def test_there_and_back_nothing_changes(lengths, width, dt, seed):
+def test_a_round_trip_through_minari_changes_nothing(lengths, width, dt, seed):
     pytest.importorskip("minari")
     rng = np.random.default_rng(seed)
     tracks = [rng.normal(size=(n + 1, width)) for n in lengths]
@@ -107,7 +107,7 @@ def test_discrete_actions_are_one_hot(minari):
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_what_is_wrong_is_said(minari):
+def test_errors_of_minari_data_sets_name_the_cause(minari):
     data = driving(episodes=2, steps=3)
     to_minari(data, "test/once-v0")
     with pytest.raises(ConfigError, match="already"):
@@ -120,7 +120,7 @@ def test_what_is_wrong_is_said(minari):
         from_minari("test/never-v0")
 
 
-def test_without_minari_the_message_says_how_to_install_it(monkeypatch):
+def test_a_missing_minari_is_an_error_that_names_the_installation(monkeypatch):
     original = builtins.__import__
 
     def no_minari(name, *rest):

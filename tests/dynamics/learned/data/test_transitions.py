@@ -17,7 +17,7 @@ lengths = st.lists(st.integers(1, 7), min_size=1, max_size=6)
 
 
 def walk(episode_lengths: list[int], first: int = 0) -> Transitions:
-    """State 0 of each transition is its number in the whole, so that every row can be told."""
+    """Transitions whose state 0 is their number in the whole, so that every row can be identified."""
     n = sum(episode_lengths)
     episodes = np.repeat(np.arange(len(episode_lengths)), episode_lengths)
     number = first + np.arange(n) + episodes
@@ -56,7 +56,7 @@ def test_joined_transitions_stay_different_episodes(a, b):
 
 @settings(deadline=None)
 @given(lengths, st.integers(0, 99))
-def test_a_file_brings_back_every_bit(tmp_path_factory, episode_lengths, seed):
+def test_a_file_preserves_every_bit(tmp_path_factory, episode_lengths, seed):
     data = driving(len(episode_lengths), max(episode_lengths), seed)
     path = data.save(tmp_path_factory.mktemp("data") / "a.npz")
     back = Transitions.load(path)
@@ -67,7 +67,7 @@ def test_a_file_brings_back_every_bit(tmp_path_factory, episode_lengths, seed):
 
 @settings(deadline=None)
 @given(st.integers(0, 29), st.sampled_from(["states", "actions", "next_states"]), st.sampled_from([np.nan, np.inf]))
-def test_what_is_not_finite_is_refused_and_named(row, name, value):
+def test_a_value_that_is_not_finite_is_refused_and_named(row, name, value):
     parts = {k: getattr(driving(1), k).copy() for k in ("states", "actions", "next_states", "episodes")}
     parts[name][row, 0] = value
     with pytest.raises(DataError, match=f"{name} must be finite.*row {row}"):
@@ -91,14 +91,14 @@ def test_what_is_not_finite_is_refused_and_named(row, name, value):
         ({"dt": float("nan")}, "dt"),
     ],
 )
-def test_what_is_no_recording_is_refused(change, message):
+def test_invalid_transitions_are_refused(change, message):
     data = walk([3, 2])
     parts = {k: getattr(data, k) for k in ("states", "actions", "next_states", "episodes", "dt")}
     with pytest.raises(DataError, match=message):
         Transitions(**{**parts, **change})
 
 
-def test_splits_windows_and_sums_that_make_no_sense_are_refused():
+def test_invalid_splits_windows_and_sums_are_refused():
     with pytest.raises(DataError, match="two episodes"):
         walk([5]).split()
     with pytest.raises(DataError, match="between 0 and 1"):

@@ -1,4 +1,4 @@
-"""Into the ego's frame and back is the identity, and no rigid motion is seen from inside."""
+"""Transformation into the ego's frame and back is the identity, and rigid motions are invisible in it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LAYOUT = Layout()
 
 @settings(deadline=None)
 @given(states, states)
-def test_there_and_back(x, other):
+def test_to_world_and_about_are_inverse(x, other):
     np.testing.assert_allclose(LAYOUT.to_world(x, LAYOUT.about(x, other)), other, atol=1e-9)
     np.testing.assert_allclose(LAYOUT.about(x, LAYOUT.to_world(x, other)), other, atol=1e-9)
 
@@ -54,7 +54,7 @@ def test_another_order_of_columns_and_plain_numbers():
     np.testing.assert_allclose(layout.to_world(x, z), x, atol=1e-12)
 
 
-def test_layouts_that_cannot_be_are_refused():
+def test_invalid_layouts_are_refused():
     with pytest.raises(ConfigError, match="each column once"):
         Layout(position=(0, 1), heading=(1, 2))
     with pytest.raises(ConfigError, match="columns 0 to 4"):

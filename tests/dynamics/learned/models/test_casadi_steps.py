@@ -1,4 +1,4 @@
-"""A learned model as an expression is the network's own step, in any place and heading, with its slopes."""
+"""A learned model as an expression equals the network's step, at any place and heading, with its derivatives."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_the_expression_is_the_networks_step_to_the_stated_tolerance(i, x, u):
 @pytest.mark.parametrize("i", [0, 1, 2])
 @given(x=states, u=inputs)
 @settings(max_examples=30, deadline=None)
-def test_its_slopes_are_its_own(i, x, u):
+def test_the_derivatives_of_the_expression_are_correct(i, x, u):
     """Central differences; that the values are the network's is the test before."""
     _, f, g = (np.asarray(part.full()) for part in FUNCTIONS[i](x, u))
     h = 1e-5
@@ -99,7 +99,7 @@ def test_its_slopes_are_its_own(i, x, u):
 
 @given(states, inputs, floats(-20, 20), floats(-20, 20), floats(-3, 3))
 @settings(max_examples=30, deadline=None)
-def test_a_rigid_motion_before_is_one_after(x, u, right, up, angle):
+def test_the_step_commutes_with_rigid_motions(x, u, right, up, angle):
     def moved(state):
         c, s = np.cos(angle), np.sin(angle)
         return np.array(

@@ -1,4 +1,4 @@
-"""Models on disk: the same bits come back, and nothing else is taken for a model."""
+"""Models on disk: every bit is preserved, and nothing else is accepted as a model."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_notes_are_kept(folder):
     assert read_config(folder)["notes"] == {"seed": 3}
 
 
-def test_what_is_missing_is_said(tmp_path, folder):
+def test_a_missing_file_of_a_model_is_named(tmp_path, folder):
     with pytest.raises(ModelError, match="is no model: a model is a folder with"):
         load_model(tmp_path / "nowhere")
     (folder / WEIGHTS_FILE).unlink()

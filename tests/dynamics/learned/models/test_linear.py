@@ -54,7 +54,7 @@ def test_a_and_b_at_a_point_are_those_of_the_step(seed, x, u, config):
 
 @settings(deadline=None)
 @given(seeds, states, inputs, coordinates, coordinates, angles)
-def test_in_body_frame_a_rigid_motion_before_is_one_after(seed, x, u, dx, dy, angle):
+def test_the_step_in_body_frame_commutes_with_rigid_motions(seed, x, u, dx, dy, angle):
     model = random_model(BODY, seed)
     before = model.step(moved(x, dx, dy, angle)[None], u[None])
     after = moved(model.step(x[None], u[None]).astype(float), dx, dy, angle)
@@ -96,7 +96,7 @@ def test_a_rollout_is_a_repeated_step(seed, starts, horizon, config):
 
 @settings(deadline=None)
 @given(seeds, st.lists(states, min_size=2, max_size=5), inputs)
-def test_rows_do_not_meddle_with_each_other(seed, starts, u):
+def test_rows_of_a_batch_are_independent(seed, starts, u):
     model = random_model(BODY, seed)
     batch, actions = np.array(starts), np.tile(u, (len(starts), 1))
     alone = np.concatenate([model.step(x[None], u[None]) for x in batch])
@@ -199,7 +199,7 @@ def test_wrong_dimensions_at_a_point_are_refused():
         ({"state_dim": 5}, "columns 0 to 4"),
     ],
 )
-def test_configurations_that_cannot_be_are_refused(change, message):
+def test_invalid_configurations_are_refused(change, message):
     with pytest.raises(ConfigError, match=message):
         ModelConfig(**change)
 

@@ -1,4 +1,4 @@
-"""A rollout is a repeated step, a held rollout a rollout of repeated actions, whatever the model."""
+"""A rollout is a repeated step, and a held rollout a rollout of repeated actions, for every model."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def test_a_rollout_is_a_repeated_step(n, horizon, seed):
 
 
 @given(st.integers(1, 4), st.integers(1, 4), st.integers(1, 5), st.integers(0, 99))
-def test_a_held_rollout_is_one_of_repeated_actions(n, blocks, hold, seed):
+def test_a_held_rollout_is_a_rollout_of_repeated_actions(n, blocks, hold, seed):
     rng = np.random.default_rng(seed)
     states, actions = rng.normal(size=(n, 3)), rng.normal(size=(n, blocks, 2))
     every = rollout(Affine(), states, np.repeat(actions, hold, axis=1))
     np.testing.assert_array_equal(rollout_held(Affine(), states, actions, hold), every[:, hold - 1 :: hold])
 
 
-def test_a_model_with_an_answer_of_its_own_is_asked():
+def test_a_model_with_its_own_held_rollout_is_used():
     assert (rollout_held(Held(), np.zeros((2, 3)), np.zeros((2, 4, 2)), 7) == 7).all()
 
 

@@ -1,4 +1,4 @@
-"""Every monomial up to the degree is there once, and has its value."""
+"""Every monomial up to the degree exists once, with its value."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dynamics.learned.models.monomials import Monomials
 
 
 @given(st.integers(1, 4), st.integers(0, 5), st.sets(st.integers(0, 3)), st.integers(0, 99))
-def test_they_are_the_products_of_powers(count, degree, linear, seed):
+def test_monomials_are_the_products_of_powers(count, degree, linear, seed):
     basis = Monomials(count, degree, linear)
     rows = {tuple(row) for row in basis.exponents.tolist()}
     assert len(rows) == len(basis)

@@ -1,4 +1,4 @@
-"""Motion in a roundabout: quarter turns change nothing, nobody stays nobody, motions are the simulator's."""
+"""Motion in a roundabout: quarter turns change nothing, absent vehicles stay absent, motions are the simulator's."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ NORTH = 3
 
 
 def model(rows=4, exit_arm=NORTH, seed=0):
-    """Random weights: what is said here of them holds for all."""
+    """A model with random weights; the tested properties hold for all weights."""
     return RoundaboutModel(
         LinearStructuredModel(roundabout_config(6, 1.0, seed)),
         LinearStructuredModel(roundabout_config(2, 1.0, seed + 1)),
@@ -33,7 +33,7 @@ def model(rows=4, exit_arm=NORTH, seed=0):
 
 
 def vehicle(angle, radius=22.0, speed=10.0, way=None):
-    """(x, y, vx, vy, c, s) of who circles there, towards smaller angles."""
+    """(x, y, vx, vy, c, s) of a vehicle that circles there, towards smaller angles."""
     way = angle - np.pi / 2 if way is None else way
     unit = np.array([np.cos(way), np.sin(way)])
     return np.concatenate([radius * np.array([np.cos(angle), np.sin(angle)]), speed * unit, unit])
@@ -59,7 +59,7 @@ def turned(state, quarters):
 
 @settings(max_examples=40, deadline=None)
 @given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.integers(0, 3), st.integers(0, 4), st.booleans())
-def test_a_quarter_turn_before_the_step_is_one_after_it(a, b, quarters, action, leaves):
+def test_the_step_commutes_with_quarter_turns(a, b, quarters, action, leaves):
     for angle in (a, b):
         edges = np.array([angle - ALPHA, angle - np.pi / 4]) / (np.pi / 2)
         if np.abs(edges - np.round(edges)).min() < 1e-3:
@@ -72,7 +72,7 @@ def test_a_quarter_turn_before_the_step_is_one_after_it(a, b, quarters, action, 
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 3), st.floats(0.01, np.pi / 2 - 0.01), st.floats(5, 90))
-def test_the_next_exit_is_the_one_ahead(arm, before, radius):
+def test_the_next_exit_is_the_nearest_exit_ahead(arm, before, radius):
     angle = arm * np.pi / 2 + ALPHA + before
     assert next_exit(radius * np.cos(angle), radius * np.sin(angle)) == arm
     away = arm * np.pi / 2 + before - np.pi / 4
@@ -102,7 +102,7 @@ def test_a_step_of_many_plans_is_each_plans_step(actions, scenes):
 
 @settings(max_examples=30, deadline=None)
 @given(st.floats(-3, 3), st.integers(0, 4))
-def test_nobody_stays_nobody_and_directions_have_length_one(angle, action):
+def test_an_absent_vehicle_stays_absent_and_directions_have_length_one(angle, action):
     after = model().step(scene(vehicle(angle), (vehicle(1.0), 0.0))[None], [[action]])[0]
     rows = after[EGO:].reshape(4, ROW)
     assert rows[1:].tolist() == np.zeros((3, ROW)).tolist()
@@ -123,13 +123,13 @@ def test_motions_are_the_simulators_seen_from_the_nearest_arm():
     for part in (ego, others):
         angle = np.arctan2(part.states[:, 3], part.states[:, 2])
         assert np.abs(angle).max() <= np.pi / 4 + 1e-6
-    # Who is inside goes round towards smaller angles.
+    # A vehicle inside circles towards smaller angles.
     inside = np.hypot(*others.states[:, 2:4].T) < 26
     x, y, vx, vy = others.states[inside, 2:].T
     assert np.mean(x * vy - y * vx < 0) > 0.95
 
 
-def test_what_is_no_roundabout_and_no_scene_is_refused():
+def test_other_environments_and_invalid_scenes_are_refused():
     with pytest.raises(ConfigError, match="RoundaboutEnv"):
         collect_roundabout(get_setting("highway-fast").make(), 5)
     with pytest.raises(ModelError, match="whole numbers"):

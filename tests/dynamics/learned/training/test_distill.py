@@ -1,4 +1,4 @@
-"""Macro-steps agree with the model to what they say, and keep its symmetry."""
+"""Macro-steps agree with the model within their stated distance, and keep its symmetry."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ known = st.integers(0, len(DATA) - 1)
 
 @settings(deadline=None)
 @given(st.lists(known, min_size=1, max_size=20), st.sampled_from([1, 2, 4]), st.integers(0, 99))
-def test_after_a_block_it_is_within_the_stated_distance(rows, hold, seed):
+def test_a_macro_step_is_within_the_stated_distance_of_the_model(rows, hold, seed):
     x = DATA.states[rows]
     u = np.random.default_rng(seed).uniform(-1, 1, (len(rows), 1, 2))
     got = FAST.rollout_held(x, u, hold)[:, 0]
@@ -30,7 +30,7 @@ def test_after_a_block_it_is_within_the_stated_distance(rows, hold, seed):
     agreement = FAST.agreement[hold]
     assert agreement.median <= agreement.p99 <= agreement.worst
     assert agreement.p99 <= 0.02 * hold
-    # The data's own states are well inside the range that the worst case was looked for in.
+    # The states of the data are well inside the range in which the worst case was searched.
     assert np.hypot(*(got - want)[:, :2].T).max() <= 2 * agreement.worst + 1e-4
     np.testing.assert_allclose(got[:, 2:4], want[:, 2:4], atol=0.2)
     np.testing.assert_allclose(got[:, 4:], want[:, 4:], atol=0.05)
@@ -38,7 +38,7 @@ def test_after_a_block_it_is_within_the_stated_distance(rows, hold, seed):
 
 @settings(deadline=None)
 @given(st.lists(known, min_size=1, max_size=8), st.integers(0, 99))
-def test_over_several_blocks_errors_add_up_slowly(rows, seed):
+def test_the_errors_of_several_blocks_add_up_slowly(rows, seed):
     x = DATA.states[rows] * [1, 1, 0.3, 0.3, 1, 1]
     # Gentle on the throttle: the speeds stay in the range of the data.
     u = np.random.default_rng(seed).uniform(-1, 1, (len(rows), 3, 2)) * [0.3, 1]
@@ -48,7 +48,7 @@ def test_over_several_blocks_errors_add_up_slowly(rows, seed):
 
 @settings(deadline=None)
 @given(states, inputs, inputs, coordinates, coordinates, angles)
-def test_a_rigid_motion_before_is_one_after(x, u, w, dx, dy, angle):
+def test_a_macro_step_commutes_with_rigid_motions(x, u, w, dx, dy, angle):
     actions = np.array([[u, w]])
     before = FAST.rollout_held(moved(x, dx, dy, angle)[None], actions, 4)[0]
     after = moved(FAST.rollout_held(x[None], actions, 4)[0].astype(float), dx, dy, angle)
@@ -57,7 +57,7 @@ def test_a_rigid_motion_before_is_one_after(x, u, w, dx, dy, angle):
 
 @settings(deadline=None)
 @given(st.lists(known, min_size=1, max_size=5), st.integers(1, 4), st.integers(0, 99))
-def test_step_rollout_and_held_rollout_are_one_model(rows, horizon, seed):
+def test_step_rollout_and_held_rollout_agree(rows, horizon, seed):
     x = DATA.states[rows]
     u = np.random.default_rng(seed).uniform(-1, 1, (len(rows), horizon, 2))
     want = rollout(FAST, x, u)
@@ -77,7 +77,7 @@ def test_a_hold_without_polynomial_is_put_together(row, u):
 
 @settings(deadline=None)
 @given(known, st.floats(-100, 100), inputs)
-def test_beyond_its_range_it_stays_finite_and_in_proportion(row, speed, u):
+def test_a_macro_step_beyond_its_range_stays_finite_and_bounded(row, speed, u):
     x = DATA.states[row].copy()
     x[2:4] = speed * x[4:]
     out = FAST.rollout_held(x[None], np.tile(u, (1, 8, 1)), 4)
@@ -101,7 +101,7 @@ def test_the_tolerance_is_kept_or_refused():
         distill(MODEL, DATA, DistillConfig(tolerance=1e-6))
 
 
-def test_what_cannot_be_distilled_is_refused():
+def test_an_unsupported_model_or_input_is_refused():
     with pytest.raises(ConfigError, match="in the form 'body'"):
         distill(LinearStructuredModel(ModelConfig(form="plain")), DATA)
     with pytest.raises(ConfigError, match="20 samples are too few"):
@@ -117,6 +117,6 @@ def test_what_cannot_be_distilled_is_refused():
 @pytest.mark.parametrize(
     "change", [{"holds": (0,)}, {"degree": 0}, {"samples": 0}, {"tolerance": 0.0}, {"stretch": 0.5}]
 )
-def test_settings_that_cannot_be_are_refused(change):
+def test_invalid_settings_of_distillation_are_refused(change):
     with pytest.raises(ConfigError, match="positive"):
         DistillConfig(**change)

@@ -1,4 +1,4 @@
-"""Training: it learns, repeats itself, keeps the best weights, and says what is wrong with data."""
+"""Training learns, is repeatable, keeps the best weights, and reports errors in data."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def fitted():
     return fit(DATA, SMALL, SHORT)
 
 
-def test_it_predicts_unseen_driving_from_unseen_places(fitted):
-    """Standing still would be off by how far the vehicle went; the network knows nothing of either episode."""
+def test_a_fitted_model_predicts_unseen_driving_at_unseen_places(fitted):
+    """A prediction of no motion would be off by the travelled distance; the network was trained on neither episode."""
     states, _, after = FRESH.sequences(15)
     gone = np.median(np.hypot(*(after[:, -1, :2] - states[:, :2]).T))
     error = open_loop(fitted.model, FRESH, 15)
@@ -63,7 +63,7 @@ def test_the_kept_weights_are_those_of_the_best_check(fitted):
     assert error < np.square(states - after[:, 0]).mean()
 
 
-def test_it_stops_when_nothing_gets_better():
+def test_training_stops_without_improvement():
     stopped = fit(DATA, SMALL, replace(SHORT, epochs=1000, rate=0.5, constant_rate=True, patience=2, finish_epochs=0))
     assert stopped.history[-1][0] < 1000
 
@@ -117,7 +117,7 @@ def test_a_diverging_training_is_an_error():
         fit(DATA, SMALL, replace(SHORT, rate=1e30, constant_rate=True))
 
 
-def test_missing_tensorboard_is_said_before_training(monkeypatch):
+def test_a_missing_tensorboard_is_an_error_before_training(monkeypatch):
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     with pytest.raises(ConfigError, match="TensorBoard is not installed"):
         fit(DATA, SMALL, SHORT, tensorboard="anywhere")
@@ -145,7 +145,7 @@ def test_losses_go_to_tensorboard(monkeypatch):
     assert [e for e, _, _ in done.history] == [5, 10, 12]
 
 
-def test_a_progress_bar_is_shown_when_asked_for(capsys):
+def test_a_progress_bar_is_shown_on_request(capsys):
     fit(driving(3, 8), SMALL, FitConfig(epochs=2, finish_epochs=0), progress=True)
     assert "fit: 100%" in capsys.readouterr().err
     fit(driving(3, 8), SMALL, FitConfig(epochs=2, finish_epochs=0))
@@ -156,7 +156,7 @@ def test_a_progress_bar_is_shown_when_asked_for(capsys):
     "change",
     [{"horizon": 0}, {"epochs": 0, "finish_epochs": 0}, {"rate": 0.0}, {"batch": 0}, {"patience": 0}, {"epochs": -1}],
 )
-def test_training_that_cannot_be_is_refused(change):
+def test_invalid_training_settings_are_refused(change):
     with pytest.raises(ConfigError, match="positive"):
         FitConfig(**change)
 

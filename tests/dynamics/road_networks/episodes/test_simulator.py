@@ -1,5 +1,5 @@
-"""The compiled episodes on road networks are highway-env's, bit for bit: observations, rewards, ends, infos, states and
-random numbers, in whole episodes from their seeds."""
+"""The compiled episodes on road networks equal highway-env's, bit for bit: observations, rewards, ends, infos,
+states and random numbers, in whole episodes from their seeds."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def _pairs(row, n, out):
 
 @given(st.integers(0, 2**63 - 1), st.integers(3, 9))
 @settings(max_examples=20, deadline=None)
-def test_draws_are_numpys(seed, n):
+def test_random_draws_are_those_of_numpy(seed, n):
     generator = np.random.default_rng(seed)
     row, normals, pairs = from_generator(generator), np.zeros(4_000), np.zeros((50, 2), np.int64)
     _normals(row, normals)
@@ -85,7 +85,7 @@ def test_an_episode_of_another_configuration_is_the_same(env_id):
 
 @pytest.mark.parametrize(("env_id", "kind"), zip(ROADS[::2], LINEAR * 3, strict=False))
 def test_an_episode_among_vehicles_of_the_linear_model_is_the_same(env_id, kind):
-    """Their parameters are drawn one by one, and those of who comes to an intersection too."""
+    """Their parameters are drawn one by one, also those of vehicles that enter an intersection later."""
     RoadPair(env_id, {"other_vehicles_type": kind}).drive([33], decisions=12)
 
 
@@ -129,7 +129,7 @@ def test_any_kinematics_are_the_same(features, count, options, env_id, kind, see
     RoadPair(env_id, {"observation": observation}).drive([seed], decisions=2)
 
 
-def test_episodes_follow_one_another_as_in_gymnasiums_own_vector_environment():
+def test_episodes_follow_as_in_gymnasiums_vector_environment():
     config = {"duration": 3}
     mine, kind = RoadVectorEnv("roundabout-v0", 2, config), {"autoreset_mode": gym.vector.AutoresetMode.SAME_STEP}
     theirs = gym.make_vec("roundabout-v0", 2, vectorization_mode="sync", vector_kwargs=kind, config=config)
@@ -150,7 +150,7 @@ def test_episodes_follow_one_another_as_in_gymnasiums_own_vector_environment():
     assert ends > 2
 
 
-def test_a_live_environment_goes_on_in_the_arrays():
+def test_a_live_environment_continues_in_the_arrays():
     pair = RoadPair("intersection-v0")
     pair.env.reset(seed=3)
     for _ in range(3):
@@ -162,7 +162,7 @@ def test_a_live_environment_goes_on_in_the_arrays():
             break
 
 
-def test_several_threads_step_as_one_does():
+def test_several_threads_give_the_results_of_a_single_thread():
     one, two = RoadSimulator("roundabout-v0", 5), RoadSimulator("roundabout-v0", 5, threads=2)
     for simulator in (one, two):
         simulator.reset(range(5))
@@ -172,7 +172,7 @@ def test_several_threads_step_as_one_does():
     assert np.array_equal(one.seen.observations, two.seen.observations)
 
 
-def test_what_is_not_known_is_refused():
+def test_unsupported_episodes_are_refused():
     for env_id, config, message in (
         ("highway-v0", None, "HighwayEnv are not compiled; those of MergeEnv"),
         ("racetrack-v0", None, "RacetrackEnv are not compiled"),
@@ -194,7 +194,7 @@ def test_what_is_not_known_is_refused():
         simulator.load(gym.make("merge-v0", config={"duration": 1}))
 
 
-def test_more_vehicles_than_there_is_room_for_are_an_error(monkeypatch):
+def test_more_vehicles_than_array_rows_are_an_error(monkeypatch):
     monkeypatch.setattr("dynamics.road_networks.episodes.scenario._MOST", 1)
     simulator = RoadSimulator("intersection-v0", 20, {"spawn_probability": 1.0, "initial_vehicle_count": 1})
     simulator.step(np.ones(20, int))

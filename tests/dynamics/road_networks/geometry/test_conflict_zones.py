@@ -1,4 +1,4 @@
-"""Where the lanes of a road network meet, and how."""
+"""Conflict zones of the lanes of a road network, and their kinds."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def followers(geometry):
 
 
 @EACH
-def test_if_one_lane_conflicts_with_another_so_does_that_with_it(env_id):
+def test_conflicts_of_lanes_are_symmetric(env_id):
     geometry = read(env_id)[1]
     zones = conflict_zones(geometry)
     seen = {(z.lane, z.other, z.kind, z.interval, z.other_interval) for z in zones}
@@ -39,8 +39,8 @@ def test_if_one_lane_conflicts_with_another_so_does_that_with_it(env_id):
 
 
 @EACH
-def test_where_lanes_of_different_roads_overlap_there_is_a_zone(env_id):
-    """Any place on two of them that do not follow one another is in one, but for 5 cm at its edges."""
+def test_an_overlap_of_lanes_of_different_roads_is_a_zone(env_id):
+    """Any place on two lanes that do not follow one another is inside a zone, up to 5 cm at its edges."""
     geometry, rng = read(env_id)[1], np.random.default_rng(0)
     every, follow, intervals = numbers(geometry), followers(geometry), {}
     for zone in conflict_zones(geometry):
@@ -58,7 +58,7 @@ def test_where_lanes_of_different_roads_overlap_there_is_a_zone(env_id):
 
 
 @EACH
-def test_from_one_end_of_a_zone_to_the_other_the_lanes_overlap(env_id):
+def test_the_lanes_overlap_along_a_whole_zone(env_id):
     geometry = read(env_id)[1]
     for z in conflict_zones(geometry):
         assert geometry.names[z.lane][:2] != geometry.names[z.other][:2]
@@ -71,7 +71,7 @@ def test_from_one_end_of_a_zone_to_the_other_the_lanes_overlap(env_id):
 
 
 @EACH
-def test_lanes_side_by_side_and_one_behind_the_other_do_not_conflict(env_id):
+def test_parallel_and_successive_lanes_do_not_conflict(env_id):
     assert not env_id.startswith(APART) or not conflict_zones(read(env_id)[1])
 
 
@@ -86,7 +86,7 @@ def test_arcs_side_by_side_do_not_conflict(radius, start, turned, clockwise):
 
 
 def meetings(env_id, lane):
-    """What meets a lane, by name, and how."""
+    """The lanes that conflict with a lane, by name, and the kinds of the conflicts."""
     geometry = read(env_id)[1]
     return {geometry.names[z.other][:2]: z.kind for z in conflict_zones(geometry) if geometry.names[z.lane] == lane}
 
@@ -126,7 +126,7 @@ def test_the_lanes_of_a_merge_that_overlap_join():
     assert found == {("merge-1.taper", "merge-1.joint"): Meeting.JOIN}
 
 
-def test_who_comes_the_other_way_in_the_same_lane_is_oncoming():
+def test_opposite_lanes_in_the_same_place_are_oncoming():
     geometry = read("two-way-v0")[1]
     assert meetings("two-way-v0", ("b", "a", 0)) == {("a", "b"): Meeting.ONCOMING}
     assert not meetings("two-way-v0", ("a", "b", 1))

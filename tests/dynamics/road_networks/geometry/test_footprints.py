@@ -1,4 +1,4 @@
-"""What a rectangle fills of a lane is what highway-env's lane says of its outline."""
+"""The extent of a rectangle on a lane is that of its outline in highway-env's lane coordinates."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def lanes_of(lane):
     sides=st.tuples(st.floats(0.2, 6.0), st.floats(0.2, 1.5)),
 )
 def test_the_extent_of_a_rectangle_is_that_of_its_outline(kind, data, share, r, angle, ahead, sides):
-    """No point of it is outside, and the extent is no larger than that by more than what the samples leave out."""
+    """No point of the outline is outside, and the extent exceeds the outline by no more than the sampling error."""
     lane = data.draw(kind)
     s = share * (min(lane.length, 0.9 * math.pi * lane.radius) if isinstance(lane, CircularLane) else lane.length)
     (x, y), heading = lane.position(s, r), lane.heading_at(s) + angle

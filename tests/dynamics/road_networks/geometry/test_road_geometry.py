@@ -1,4 +1,4 @@
-"""The geometry of road networks is highway-env's, on every lane of every road."""
+"""The geometry of road networks equals highway-env's, on every lane of every road."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def projected(road, lane):
 @EACH
 @settings(max_examples=20, deadline=None)
 @given(along=SHARE, across=st.floats(-0.5, 0.5))
-def test_what_is_placed_is_projected_back(env_id, along, across):
+def test_projection_inverts_placement(env_id, along, across):
     road, geometry = read(env_id)
     every = numbers(geometry)
     s, r = along * np.array([projected(road, k) for k in every]), across * geometry.widths
@@ -45,7 +45,7 @@ def test_what_is_placed_is_projected_back(env_id, along, across):
 @EACH
 @settings(max_examples=10, deadline=None)
 @given(along=SHARE)
-def test_the_curvature_is_how_the_heading_changes(env_id, along):
+def test_the_curvature_is_the_change_of_heading(env_id, along):
     geometry = read(env_id)[1]
     every, step = numbers(geometry), 1e-3
     s = along * geometry.lengths
@@ -105,7 +105,7 @@ def test_the_closest_lane_is_highway_envs(env_id):
     assert np.array_equal((found.s, found.r), geometry.project(found.lane, x, y))
 
 
-def test_who_turns_right_has_a_positive_curvature():
+def test_a_right_turn_has_a_positive_curvature():
     road = RoadNetwork()
     road.add_lane("a", "b", CircularLane([0.0, 0.0], 10.0, 0.0, 1.0, clockwise=True))
     road.add_lane("a", "c", CircularLane([0.0, 0.0], 10.0, 0.0, -1.0, clockwise=False))
@@ -127,7 +127,7 @@ def test_the_outline_is_the_edges(env_id):
         assert np.allclose(s, np.concatenate([s[: len(s) // 2], s[: len(s) // 2][::-1]]))
 
 
-# -- what is handed in -----------------------------------------------------------------------------------
+# -- inputs ----------------------------------------------------------------------------------------------
 
 
 def test_shapes_broadcast():
@@ -139,7 +139,7 @@ def test_shapes_broadcast():
     assert geometry.position(np.array([], int), [])[0].shape == (0,)
 
 
-def test_what_cannot_be_read_is_refused():
+def test_unsupported_networks_are_refused():
     bent = RoadNetwork()
     bent.add_lane("a", "b", PolyLane([(0.0, 0.0), (5.0, 1.0), (9.0, 0.0)], [(0, 2), (9, 2)], [(0, -2), (9, -2)]))
     with pytest.raises(SceneError, match="StraightLane, SineLane, CircularLane, not PolyLane"):

@@ -1,4 +1,4 @@
-"""Where one can go from lane to lane of a road network: as highway-env goes on, to the neighbours, and nowhere else."""
+"""Links between the lanes of a road network: successors as in highway-env, and neighbours."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ UNCONNECTED = ("highway-", "two-way-", "parking-", "lane-keeping-")
 
 
 @EACH
-def test_a_lane_goes_over_into_those_that_continue_it(env_id):
-    """In place and heading within 1e-6, and on racetracks, whose sections do not meet exactly, within 0.25 m across and
-    0.13 rad. Of those that go on from it, the ones count that begin within 3 m and in its direction within 0.3 rad."""
+def test_a_successor_continues_its_lane(env_id):
+    """In place and heading within 1e-6. On racetracks, whose sections do not meet exactly, within 0.25 m across and
+    0.13 rad. Successors that begin within 3 m and 0.3 rad of the lane's end count."""
     geometry, joints = read(env_id)[1], 0
     racetrack = env_id.startswith("racetrack")
     for lane, length in enumerate(geometry.lengths):
@@ -33,8 +33,8 @@ def test_a_lane_goes_over_into_those_that_continue_it(env_id):
 
 
 @EACH
-def test_where_highway_env_goes_on_is_among_the_successors(env_id):
-    """Unless the road only leads back."""
+def test_the_next_lane_of_highway_env_is_among_the_successors(env_id):
+    """Unless the road only turns back."""
     road, geometry = read(env_id)
     for lane, name in enumerate(geometry.names):
         end, heading = geometry.position(lane, geometry.lengths[lane]), geometry.heading(lane, geometry.lengths[lane])

@@ -1,4 +1,4 @@
-"""highway-env with its frames compiled is highway-env, bit for bit: whatever it returns, and whatever it is."""
+"""highway-env with compiled frames equals highway-env, bit for bit: every result, and the whole state."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ FEATURES = (
 
 
 def contents(env):
-    """All that an environment is, but for the road map, what it makes anew, and what vehicles of the linear model
-    collect for a regression."""
+    """The state of an environment, except the road map, regenerated values, and the regression data of vehicles of
+    the linear model."""
     base = env.unwrapped
     bodies = []
     for body in [*base.road.vehicles, *base.road.objects]:
         row = {k: plain(x) for k, x in vars(body).items() if k not in ("road", "lane", "history", "log", "data")}
-        if not row.get("is_yielding", True):  # highway-env leaves a False behind where somebody had yielded
+        if not row.get("is_yielding", True):  # highway-env leaves a False behind after yielding
             row.pop("is_yielding")
         row.pop("yield_timer", None)
         bodies.append((type(body).__name__, row, body.lane is base.road.network.get_lane(body.lane_index)))
@@ -126,7 +126,7 @@ def test_kinematics_without_a_data_frame_is_the_same(features, count, options, e
     assert env.np_random.bit_generator.state == after
 
 
-def test_what_watches_gets_each_frame_and_whether_the_ego_is_on_the_road():
+def test_a_watcher_gets_each_frame_and_whether_the_ego_is_on_the_road():
     env, seen = CompiledFrames(gym.make("roundabout-continuous-v1")), []
     env.reset(seed=0)
     env.watchers.append(lambda bodies, rows, on_road: seen.append((len(bodies), rows, on_road)))
@@ -140,7 +140,7 @@ def test_what_watches_gets_each_frame_and_whether_the_ego_is_on_the_road():
     np.testing.assert_array_equal(seen[-1][1][-1, ego, :2], env.unwrapped.vehicle.position)
 
 
-def test_closing_gives_the_environment_its_own_frames_back():
+def test_closing_restores_the_frames_of_the_environment():
     env = gym.make("merge-v0")
     compiled = CompiledFrames(env)
     compiled.reset(seed=0)
@@ -149,7 +149,7 @@ def test_closing_gives_the_environment_its_own_frames_back():
     assert "_simulate" not in vars(env.unwrapped)
 
 
-def test_what_is_not_known_is_refused():
+def test_environments_without_compiled_frames_are_refused():
     with pytest.raises(ConfigError, match="does not follow from its state"):
         CompiledFrames(gym.make("parking-v0"))
     with pytest.raises(ConfigError, match="show_trajectories"):

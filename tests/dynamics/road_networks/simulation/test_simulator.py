@@ -1,4 +1,4 @@
-"""The compiled network is highway-env's, bit for bit, on every road where nobody appears or vanishes."""
+"""The compiled network equals highway-env's, bit for bit, on every road where no vehicle appears or vanishes."""
 
 from __future__ import annotations
 
@@ -89,7 +89,8 @@ def test_a_hundred_episodes_are_the_same(env_id):
 
 
 def drive_through(env_id, seed, yielded, config=None):
-    """An intersection, three decisions at a time, of which nobody comes during two; `yielded` gets who yielded."""
+    """An intersection, three decisions at a time, in two of which no vehicle appears; `yielded` collects the
+    vehicles that yielded."""
     pair, rng = Pair(env_id, seed, config), np.random.default_rng(seed)
     for k in range(15):
         action = int(rng.integers(3))
@@ -104,7 +105,7 @@ def drive_through(env_id, seed, yielded, config=None):
 
 @pytest.mark.parametrize("env_id", INTERSECTIONS)
 def test_an_intersection_is_the_same(env_id):
-    """Who yields, who crashes and who leaves included."""
+    """Including vehicles that yield, crash or leave."""
     yielded = []
     for seed in range(3):
         drive_through(env_id, seed, yielded)
@@ -127,7 +128,7 @@ def test_a_hundred_intersections_are_the_same(env_id):
         drive_through(env_id, 3_000 + seed, [])
 
 
-def test_those_who_yield_for_longer_are_refused():
+def test_another_yield_duration_is_refused():
     env = gym.make("intersection-v0").unwrapped
     env.reset(seed=0)
     env.road.YIELD_DURATION = 1.0
@@ -136,8 +137,8 @@ def test_those_who_yield_for_longer_are_refused():
 
 
 @pytest.mark.parametrize("env_id", ["roundabout-v0", "merge-v0", "exit-v1", "u-turn-v0"])
-def test_what_goes_on_after_a_crash_is_the_same(env_id):
-    """Pushed into one another, against the walls and off the road; highway-env goes on after the end."""
+def test_the_simulation_after_a_crash_is_the_same(env_id):
+    """Vehicles pushed into one another, against walls and off the road; highway-env continues after the end."""
     pair = Pair(env_id, 7)
     rng = np.random.default_rng(3)
     for vehicle in pair.env.road.vehicles[1:4]:
@@ -161,7 +162,7 @@ def test_an_obstacle_and_vehicles_of_other_sizes_are_the_same():
 
 
 def drive_wild(env_id, seed):
-    """highway-env's rewards may not like what becomes of it: its frames alone are compared."""
+    """highway-env's rewards may fail on such scenes, so its frames alone are compared."""
     pair, rng = wild_scene(env_id, seed)
     for _ in range(8):
         action = int(rng.integers(pair.env.action_space.n))
@@ -172,13 +173,13 @@ def drive_wild(env_id, seed):
 
 
 @pytest.mark.parametrize("env_id", [*NETWORKS, *INTERSECTIONS])
-def test_a_wild_scene_is_the_same(env_id):
+def test_a_random_scene_is_the_same(env_id):
     drive_wild(env_id, 1)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("env_id", [*NETWORKS, *INTERSECTIONS])
-def test_a_hundred_wild_scenes_are_the_same(env_id):
+def test_a_hundred_random_scenes_are_the_same(env_id):
     for seed in range(100, 200):
         drive_wild(env_id, seed)
 
@@ -236,7 +237,7 @@ def test_any_sine_is_highway_envs(amplitude, pulsation, phase, end):
     compare_lanes(road, np.random.default_rng(0), 6)
 
 
-def test_what_is_not_known_is_refused():
+def test_unsupported_networks_and_egos_are_refused():
     bent = RoadNetwork()
     bent.add_lane("a", "b", type("Bent", (StraightLane,), {})([0.0, 0.0], [10.0, 0.0]))
     with pytest.raises(SceneError, match="not Bent"):

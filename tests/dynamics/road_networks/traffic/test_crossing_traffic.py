@@ -1,4 +1,4 @@
-"""Intersections change their own traffic, and nobody else's."""
+"""Intersections change the constants of their own traffic only."""
 
 from __future__ import annotations
 
@@ -34,21 +34,21 @@ def constants():
         lambda: ExactRoads("intersection-v0", 1).one(),
     ],
 )
-def test_an_intersection_changes_nobody_elses_traffic(make):
+def test_an_intersection_changes_no_other_traffic(make):
     before = constants()
     make()
     assert constants() == before
 
 
-def test_highway_env_itself_does():
-    """What all this is for: where it no longer does, all this may go."""
+def test_highway_env_s_intersection_changes_other_traffic():
+    """The reason for the own traffic class: if this test fails, the class can be removed."""
     before = constants()
     gym.make("intersection-v0")
     assert constants() == [7, 6, -3] != before
 
 
 @pytest.mark.parametrize("name", ["IDMVehicle", "LinearVehicle", "AggressiveVehicle", "DefensiveVehicle"])
-def test_its_traffic_is_highway_envs_to_the_bit(name):
+def test_the_own_traffic_of_an_intersection_is_highway_envs_to_the_bit(name):
     """The same seeds, made as they come and with traffic of their own."""
     config = {"other_vehicles_type": PATH(name)}
     rows = []
@@ -77,7 +77,7 @@ def test_a_merge_is_the_same_after_an_intersection():
     assert returned() == before
 
 
-def test_who_asks_for_traffic_of_another_class_gets_it():
+def test_a_configured_traffic_class_is_kept():
     trucks = {"other_vehicles_type": "dynamics.traffic.mixed.WithTrucks"}
     assert with_own_traffic("intersection-v0", trucks) == trucks
     assert with_own_traffic("merge-v0", {}) == {}
@@ -87,7 +87,7 @@ def test_who_asks_for_traffic_of_another_class_gets_it():
     assert with_own_traffic("intersection-v0", own) == own
 
 
-def test_the_simulator_knows_them():
+def test_the_simulator_supports_the_own_traffic():
     assert kind_of(crossing.IDMVehicle) == IDM
     assert kind_of(crossing.LinearVehicle) == LINEAR
     simulator = RoadSimulator("intersection-v0", 1)

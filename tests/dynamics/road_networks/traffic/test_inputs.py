@@ -1,4 +1,4 @@
-"""An ego with throttle and steering on any road: the compiled network is highway-env's, bit for bit."""
+"""An ego with throttle and steering on any road: the compiled network equals highway-env's, bit for bit."""
 
 from __future__ import annotations
 
@@ -67,18 +67,18 @@ def drive_wild(env_id, seed, dynamical=False):
 
 @pytest.mark.parametrize("env_id", ["merge-v1", "roundabout-v0", "exit-v1", "u-turn-v1", "intersection-v2"])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_wild_scene_is_the_same(env_id, seed):
+def test_a_random_scene_of_inputs_is_the_same(env_id, seed):
     drive_wild(env_id, seed, seed == 2)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("env_id", [*ROADS, *INTERSECTIONS])
-def test_fifty_wild_scenes_are_the_same(env_id):
+def test_fifty_random_scenes_of_inputs_are_the_same(env_id):
     for seed in range(5_000, 5_050):
         drive_wild(env_id, seed, seed % 2 == 0)
 
 
-def test_vehicles_vanish_when_highway_env_has_them_vanish():
+def test_vehicles_are_removed_when_highway_env_removes_them():
     """After the decisions of the environment, whenever the ego's inputs change; the copy finds out by itself."""
     vanished = 0
     for seed in range(510, 514):
@@ -92,8 +92,8 @@ def test_vehicles_vanish_when_highway_env_has_them_vanish():
     assert vanished > 0
 
 
-def test_the_lane_that_the_law_wants_is_nobody_elses_business():
-    """A vehicle gives up a change of lanes for one that wants the same lane: a car without meta-actions wants none."""
+def test_the_target_lane_of_the_braking_law_does_not_affect_other_vehicles():
+    """A vehicle gives up a lane change if another has the same target lane; a car without meta-actions has none."""
     pair = InputPair("highway-fast-v0", 0)
     env = pair.env
     road, ego = env.road, env.vehicle
@@ -114,7 +114,7 @@ def test_the_lane_that_the_law_wants_is_nobody_elses_business():
 
 @pytest.mark.parametrize("env_id", ["roundabout-v1", "u-turn-v0", "merge-v1"])
 def test_the_law_is_highway_envs_controllers(env_id):
-    """Held to lanes and speeds by the law, alone on the road, it goes as a vehicle with meta-actions does."""
+    """Held to lanes and speeds by the law, alone on the road, the ego drives as with meta-actions."""
     meta, inputs = gym.make(env_id).unwrapped, make_inputs(env_id).unwrapped
     for env in (meta, inputs):
         env.reset(seed=3)
@@ -131,7 +131,7 @@ def test_the_law_is_highway_envs_controllers(env_id):
         assert np.array_equal(mine, theirs)
 
 
-def test_what_the_law_does_is_bounded():
+def test_the_accelerations_of_the_law_are_bounded():
     env = make_inputs("highway-fast-v0").unwrapped
     env.reset(seed=0)
     env.road.vehicles = env.road.vehicles[:1]

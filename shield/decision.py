@@ -53,8 +53,8 @@ _TEXT = {
     Reason.RSS: "the proposal would break an RSS distance",
     Reason.TTC: "the time to collision was below the threshold",
     Reason.UNVERIFIED: "some behaviour within the assumptions would bring a vehicle into the buffer",
-    Reason.RESUME: "the policy has no throttle; the shield brings the ego back to the speed that it took from it",
-    Reason.PRECAUTION: "a precaution refused every plan; the stored plan, which still verifies, was played on",
+    Reason.RESUME: "the policy has no throttle; the shield brings the ego back to its speed before the shield braked",
+    Reason.PRECAUTION: "a precaution refused every plan; the stored plan, which still verifies, was continued",
     Reason.NO_SAFE_PLAN: "nothing verified; the fallback acted (stored plan, or the largest margin)",
     Reason.BAD_ACTION: "the policy's action was outside the action space or not finite",
     Reason.BAD_SCENE: "the scene could not be read or was not finite; the fallback acted",
@@ -275,7 +275,7 @@ class Decision:
         The step is overridden if another action was executed, or a frame was overridden. Its reason and tier are those
         of the first fallback, or else of the first override. Its margin is the least finite one, with its clause and
         vehicle; NaN without one. Its guarantee is the weakest. Two cases are not overrides, since the proposal was
-        executed unchanged: an acceleration cap whose frames all passed, and a fallback that equals the proposal.
+        executed unchanged: an acceleration cap without an overridden frame, and a fallback that equals the proposal.
         """
         held, parts = [frame for frame in frames if frame.overridden], (self, *frames)
         same, holds = _same(self.proposed, self.executed), self.tier is Tier.GOVERNED
@@ -326,8 +326,8 @@ class Decision:
         at, frame = record.refusal
         if at.source is None:
             raise ConfigError(
-                "nothing was kept that this decision was made from: ask last_decision.explain() of the shield that "
-                "made it, in its process, before the decision is copied or pickled"
+                "the data of this decision was not kept: call last_decision.explain() of the shield that made it, in "
+                "its process, before the decision is copied or pickled"
             )
         return at.source.explain(at, record, frame)
 

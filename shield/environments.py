@@ -151,8 +151,8 @@ def check_gone_on(base: Any, before: int) -> None:
     if went > frames:
         raise ConfigError(
             f"the environment went on by {went} frames since the last predict(), and a decision has {frames}: its "
-            "actions are repeated, or taken without the shield. Ask predict() before each step, and put a wrapper that "
-            "repeats actions around a ShieldedEnv"
+            "actions are repeated, or taken without the shield. Call predict() before each step, and put a wrapper "
+            "that repeats actions around a ShieldedEnv"
         )
 
 

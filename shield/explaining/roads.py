@@ -70,7 +70,7 @@ class Roads:
         else:
             clause = "separation"
             lacks = f"the buffer would be short after {number(after)} s, by up to {number(short)} m"
-            why = f"something that stands is in the way; {lacks}"
+            why = f"a standing body is in the way; {lacks}"
             if found.vehicle >= 0:
                 ego = np.array([*self.alone.worlds.f[0, [X, Y, HEADING, SPEED], 0], *self.size])
                 who = Described(self.who[found.vehicle], lane_of(self.lanes[found.vehicle]))
@@ -80,8 +80,8 @@ class Roads:
                 if found.margin >= 0:
                     # Candidates that are clear of every vehicle take precedence.
                     why = (
-                        "it is clear only if those behind keep the distance that they owe the ego, and another way is"
-                        f" clear of everybody; nearest comes {cause.text}"
+                        "it is clear only if the vehicles behind keep their distance, and another candidate is clear of"
+                        f" every vehicle; the nearest is {cause.text}"
                     )
         return Explanation(proposal, at.reason, clause, cause, short, after, why, *tail, at.margin, frame, lost)
 

@@ -204,14 +204,14 @@ def _why(found: _Refusal, cause: Obstruction | None, short: float) -> str:
         name = found.clause.removeprefix("rule: ")
         if cause is None:
             return f"the rule {name!r} objects"
-        lacking = f", {by} m less than it asks for" if isfinite(short) else ""
+        lacking = f", {by} m less than it requires" if isfinite(short) else ""
         return f"the rule {name!r} objects to {cause.text}{lacking}"
     if found.clause == "speed":
         return "the ego would become faster than its frames can be verified"
     if found.clause == "clearance" and cause is not None:
         return f"{cause.text} stands in the way; the clearance would be short after {when}, by up to {by} m"
     if found.clause == "moving":
-        return f"{cause.text if cause else 'something'} moves, and everything is assumed to stand"
+        return f"{cause.text if cause else 'something'} moves, but obstacles are assumed to stand still"
     if found.clause == "room":
         return f"the plan would come to rest {by} m outside its lane after {when}"
     if found.clause == "edge":
@@ -223,7 +223,7 @@ def _why(found: _Refusal, cause: Obstruction | None, short: float) -> str:
     if found.clause == "rollback":
         return "the ego would roll backwards"
     if found.clause == "gap of the map":
-        return f"the way leads where there is no lane after {when}"
+        return f"the path leaves the lanes of the map after {when}"
     lacks = f"the buffer would be short after {when}, by up to {by} m"
     if cause is None:
         return f"{lacks}, whatever is done then"

@@ -78,11 +78,12 @@ class Simulated:
         gaps, dt = self._gaps(rows, ego), float(self.search.rules.times[0])
         inside = np.flatnonzero((gaps < 0).any(axis=1))
         hit = np.flatnonzero(rows[1:, ego, 6] > 0) + 1
-        nothing_else = "and no way on was found that keeps it"
+        nothing_else = "and no continuation was found that keeps it"
         if not inside.size and not hit.size:
             after = (len(rows) - 1) * dt
             why = (
-                f"as it is simulated no way on was found after {number(after)} s that keeps to the road and the buffer"
+                f"in the simulation no continuation was found after {number(after)} s "
+                "that keeps to the road and the buffer"
             )
             return "road", None, nan, after, why
         first = int(min([*inside[:1], *hit[:1]]))
@@ -90,7 +91,7 @@ class Simulated:
         short, cause = -float(min(gaps[first:, who].min(), 0.0)), self._cause(rows[0], ego, who)
         crash = f", with a crash after {number(hit[0] * dt)} s" if hit.size else ""
         lacks = f"the buffer would be short after {number(after)} s, by up to {number(short)} m{crash}"
-        why = f"as it is simulated {cause.text} comes in the way; {lacks}, {nothing_else}"
+        why = f"in the simulation {cause.text} comes in the way; {lacks}, {nothing_else}"
         return "crash" if hit.size else "simulated", cause, short, after, why
 
     def _cause(self, bodies: FloatArray, ego: int, column: int) -> Obstruction:

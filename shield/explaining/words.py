@@ -15,13 +15,13 @@ __all__ = ["action_name", "done", "inputs_name", "nothing_judged", "proof"]
 
 _PROOFS = {
     Tier.STORED_PLAN: "the fail-safe that was verified before",
-    Tier.EVADED: "which stays clear of those who have broken no rule, and of the others for as long as can be expected",
-    Tier.LARGEST_MARGIN: "of what does not verify what stays clear longest",
-    Tier.EMERGENCY: "the last resort, which nothing has verified",
+    Tier.EVADED: "which stays clear of all compliant vehicles, and of the violators for as long as can be expected",
+    Tier.LARGEST_MARGIN: "the plan that stays clear longest, as none verifies",
+    Tier.EMERGENCY: "the last resort, which is not verified",
 }
 _LOST = {
     Lost.NOTHING: "nothing is lost: it still verifies",
-    Lost.PRECAUTION: "a precaution is lost and the guarantee is not: but for vehicles that may cut in it verifies",
+    Lost.PRECAUTION: "a precaution is lost and the guarantee is not: without vehicles that may cut in it verifies",
     Lost.GUARANTEE: "the guarantee is lost",
 }
 
@@ -77,7 +77,7 @@ def proof(at: Decision, lost: Lost) -> str:
     if at.tier in _PROOFS:
         return f"{_PROOFS[at.tier]} ({_LOST[lost]})"
     if at.reason is Reason.RESUME:
-        return "the speed that the shield has taken from it before"
+        return "to recover the speed before the shield braked"
     return f"verified, {number(at.margin)} m beyond the buffer" if isfinite(at.margin) else "verified"
 
 

@@ -45,8 +45,8 @@ class RoadDoor:
     """Filters the meta-actions of one environment on a road network, frame by frame.
 
     A candidate follows the target command for some frames, and then brakes to a standstill. Its path has to stay clear
-    of every place that another vehicle can reach (`shield.certificate.network.clearance`). If no candidate is clear,
-    the filter takes the greatest lower speed that is clear, or the candidate verified a frame before.
+    of every place that another vehicle can reach (`shield.certificate.network.clearance`). If the target command is not
+    clear, the filter takes the greatest lower speed that is clear, or the candidate verified a frame before.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ class RoadDoor:
         """Allocate the buffers for the episode's road, and compute its tables."""
         base = self._base
         if len(base.controlled_vehicles) != 1:
-            raise SceneError(f"have one ego on a road network, not {len(base.controlled_vehicles)}")
+            raise SceneError(f"a road network requires one ego, not {len(base.controlled_vehicles)}")
         stays = {} if self._network is None else self._braking.stays
         self._alone: Alone = alone_on(base)
         self._network, self._index = base.road.network, index_of(base.road.network)
@@ -381,7 +381,7 @@ class RoadDoor:
         )
 
     def _go(self, course: Course, tier: Tier) -> None:
-        """Record the chosen candidate, whose rollout is in the trial buffer, and update the obligations."""
+        """Record the chosen candidate, and update the obligations from its rollout in the trial buffer."""
         who = [] if self.watch.last is None else self.watch.last.who
         self._then = {body: float(self._trial.margins[i]) for i, body in enumerate(who)} if tier.verified else {}
         self.disturbed = self.disturbed and not tier.verified

@@ -43,8 +43,8 @@ def check_ranges(spec: Spec, speeds: Sequence[float], centers: Sequence[float]) 
     ]
     if narrow:
         raise ConfigError(
-            "clipping hides what a scene is made of: widen config['observation']['features_range'], or set 'clip' to "
-            f"False: {'; '.join(narrow)}"
+            "clipping hides values that a scene requires: widen config['observation']['features_range'], or set "
+            f"'clip' to False: {'; '.join(narrow)}"
         )
 
 

@@ -112,8 +112,8 @@ class BlindScenes:
             scene = self._perception.see(*seen, self._unseen_ego())
         if self._strays(scene.ego_road):
             raise SceneError(
-                "the ego is not where it was told to go: step the environment once with each action that predict() "
-                "returns, and say with episode_start, or reset(), where an episode begins"
+                "the ego is not where its last action leads: step the environment once with each action that predict() "
+                "returns, and mark the beginning of an episode with episode_start, or reset()"
             )
         if self._target is None:
             self._target = self._start(scene)
@@ -144,7 +144,7 @@ class BlindScenes:
         known = self._known
         if self._ego is None and self._decisions:
             raise SceneError(
-                "the episode began with what could not be read: nobody knows where the ego is until reset()"
+                "the first observation of the episode could not be read: the ego's place is unknown until reset()"
             )
         if self._ego is None:
             centers, lane = known.road.centers, known.lane

@@ -32,7 +32,7 @@ _SURE = 0.5
 _EXACT = 1e-3
 """Numbers known within this count as exact [m], [m/s]."""
 _BESIDE = 0.5
-"""A lane whose centre is at most this far from a cell may be the lane of a vehicle in the cell [m]."""
+"""Distance from a cell to a lane centre [m], up to which the lane may be that of a vehicle in the cell."""
 
 
 class GridPerception:
@@ -111,7 +111,7 @@ class GridPerception:
             If the observation cannot be read, or `ego` is None.
         """
         if ego is None:
-            raise SceneError("a grid does not show the ego's own state, which has to be told")
+            raise SceneError("a grid does not show the ego's own state: pass its vehicle row")
         place = self._road.to_road(ego)
         heading, r = float(place[RoadState.HEADING]), float(place[RoadState.R])
         sighting = decode_grid(self.spec, observation, heading)

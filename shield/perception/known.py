@@ -151,7 +151,7 @@ class Known:
 
     @classmethod
     def of(cls, env: Any) -> tuple[Known, ...]:
-        """Prior map of each environment of a VecEnv, in whatever processes these are.
+        """Prior map of each environment of a VecEnv, in this process or in others.
 
         The environments are queried for their configuration, their wrappers and, where there is a sensor, its stated
         noise and delay. Their state is never queried.
@@ -160,7 +160,7 @@ class Known:
         ------
         ConfigError
             If the VecEnv lacks a method for these queries. If an environment is not `highway-v0` or `highway-fast-v0`,
-            is shielded already, or has a wrapper whose effect on observations cannot be undone.
+            is shielded already, or has a wrapper that changes observations and cannot be undone.
         """
         check_wrappers(env, ())
         if isinstance(env, VecEnvWrapper):
@@ -168,7 +168,7 @@ class Known:
         lacking = [name for name in _ASKED if not hasattr(env, name)]
         if lacking:
             raise ConfigError(
-                f"{type(env).__name__} cannot be asked for its configuration, it lacks {', '.join(lacking)}: have a "
+                f"{type(env).__name__} cannot be queried for its configuration: it lacks {', '.join(lacking)}: have a "
                 "VecEnv of stable-baselines3, or pass Shield(..., known=Known(...)) with its road map"
             )
         layers, configs = _layers(env), env.get_attr("config")
@@ -251,11 +251,9 @@ def _with_sensor(known: Known, env: Any, i: int) -> Known:
     """
     noise, delay = (np.asarray(env.get_attr(name, i)[0], float) for name in (_SENSOR, _DELAY))
     if noise.shape != (4,) or not noise.any():
-        raise ConfigError(
-            "the sensor does not say yet how noisy it is: reset the environments before they are shielded"
-        )
+        raise ConfigError("the sensor does not state its noise yet: reset the environments before they are shielded")
     if isinstance(known.spec, GridSpec):
-        raise ConfigError("a sensor that says of its own noise shows Kinematics, not a grid")
+        raise ConfigError("a sensor that states its noise shows Kinematics, not a grid")
     x, y, vx, vy = noise.tolist()
     # A noisy value may be beyond the range that it was clipped to.
     return replace(known, spec=replace(known.spec, clip=False), noise=(x, y, vx, vy), delay=int(delay))

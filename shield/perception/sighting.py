@@ -19,7 +19,7 @@ __all__ = ["Sighting", "decode", "numbers_of"]
 _EDGE = 1.0 - 1e-6
 """A normalised and clipped number of at least this may stand for any value beyond its range."""
 _FULL = 1e-3
-"""Without a presence column, a row whose numbers are all smaller than this is empty."""
+"""Without a presence column, a row is empty if all its numbers are smaller than this."""
 _NAMED = ("presence", "cos_h", "sin_h", "heading")
 """Features beside the state that are read here."""
 
@@ -69,7 +69,7 @@ def decode(spec: ObservationSpec, observation: object) -> Sighting:
         raise SceneError("the observation does not show the ego: its first row is empty")
     if lost & ~1:
         names = [name for k, name in enumerate(STATE) if k and lost & (1 << k)]
-        raise SceneError(f"the ego's {', '.join(names)} is at the edge of its range: nobody knows what it is")
+        raise SceneError(f"the ego's {', '.join(names)} is at the edge of its range, and so unknown")
     ego, others = states[0], states[1:known]
     cut = known < shown and known + _out_of_sight(spec, rows, named[0], int(where[0])) < shown
     return Sighting(ego, others, _heading(named, ego_row), places[1:known], shown == n, cut)

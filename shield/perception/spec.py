@@ -83,7 +83,7 @@ class ObservationSpec:
         if len(set(self.features)) != len(self.features):
             raise ConfigError(f"each feature may be there once, not {list(self.features)}")
         if self.rows < 2:
-            raise ConfigError("an observation of nobody but the ego shows no traffic: set vehicles_count to at least 2")
+            raise ConfigError("an observation of the ego alone shows no traffic: set vehicles_count to at least 2")
         if not all(isfinite(x) and x > 0 for x in (*self.body, self.distance)):
             raise ConfigError(f"distance and the sides of a body are above 0, got {self.distance}, {self.body}")
         if not self.sensor_range > 0:
@@ -99,7 +99,7 @@ class ObservationSpec:
             )
         if self.clip and self.absolute and "x" in self.ranges:  # type: ignore[operator]
             raise ConfigError(
-                "absolute x that is clipped says nothing once the ego has left its range: set 'absolute' or 'clip' "
+                "clipped absolute x is unknown once the ego has left its range: set 'absolute' or 'clip' "
                 "of config['observation'] to False"
             )
 

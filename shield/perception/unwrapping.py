@@ -56,7 +56,7 @@ def as_shown(env: Any, observation: Any) -> Any:
                 observation = np.moveaxis(np.asarray(observation), -3, -1)
         elif wrapper.observation_space != wrapper.venv.observation_space:
             raise ConfigError(
-                f"{type(wrapper).__name__} changes what is observed, and cannot be undone; have VecNormalize, "
+                f"{type(wrapper).__name__} changes observations, and cannot be undone; have VecNormalize, "
                 "VecFrameStack, VecTransposeImage, and wrappers that leave observations as they are"
             )
     return observation
@@ -84,15 +84,15 @@ def check_wrappers(env: Any, names: tuple[str, ...] | None = None) -> None:
     for name in wrappers_of(env) if names is None else names:
         if name not in SAME:
             raise ConfigError(
-                f"{name} changes what is observed, and cannot be undone: have {', '.join(SAME)}, and sensors that "
-                f"say of their own noise ({_SENSOR})"
+                f"{name} changes observations, and cannot be undone: have {', '.join(SAME)}, and sensors that "
+                f"state their noise ({_SENSOR})"
             )
 
 
 def wrappers_of(env: Any) -> tuple[str, ...]:
     """Names of the observation wrappers of a Gymnasium environment in this process, outermost first.
 
-    Sensors that state their noise are left out. So are wrappers with the attribute `added_features`, whose columns are
+    Sensors that state their noise are left out. So are wrappers with the attribute `added_features`; their columns are
     cut off.
     """
     import gymnasium as gym
@@ -163,7 +163,7 @@ def _last_of(shown: Any, wrapper: Any) -> Any:
 
 
 def _misfit(shown: Any, wrapper: Any) -> str:
-    """Message for an observation whose shape does not fit a wrapper."""
+    """Message for an observation that does not have a wrapper's shape."""
     whole = wrapper.observation_space.shape
     return (
         f"{type(wrapper).__name__} shows observations of shape {whole}, or {(wrapper.num_envs, *whole)}, "

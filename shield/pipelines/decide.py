@@ -173,8 +173,8 @@ def decide(
 
 
 def _observe_readable(memory: Memory[S], scene: Any, procedure: Procedure[S, Any]) -> Memory[S]:
-    """Observe a scene without the vehicles whose state is unreadable. An unreadable state counts as a violation; the
-    other vehicles are judged as usual."""
+    """Observe a scene without the vehicles in an unreadable state. Such a state counts as a violation; the other
+    vehicles are judged as usual."""
     if not isinstance(scene, Scene) or scene.observed or not readable(scene.ego).all():
         return memory
     strange, before = scene.unreadable, memory.watch

@@ -2,8 +2,8 @@
 
 The invariant holds if a scene admits a verified plan and the others keep to the assumptions. Then no executed action
 brings the ego nearer to another vehicle than the buffer. It follows by induction. An action is executed for one frame
-only if the fail-safe after it (braking to a stop in a lane) stays clear of every place that the others can reach. If no
-plan verifies, the fail-safe verified at the previous frame is continued.
+only if the fail-safe after it stays clear of every place that the others can reach. The fail-safe brakes to a stop in a
+lane. If no plan verifies, the fail-safe verified at the previous frame is continued.
 
 The frames between two decisions are supervised by `shield.pipelines.frames`.
 """

@@ -30,7 +30,7 @@ Sequel = tuple[int, ...]
 
 
 class MetaActionsOnly:
-    """Decides about meta-actions whose frames are not supervised.
+    """Decides about meta-actions without supervised frames.
 
     Parameters
     ----------

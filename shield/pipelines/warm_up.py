@@ -46,7 +46,8 @@ def warm_up() -> None:
 
 
 def _scene(frame: int) -> Scene:
-    """A leader, a vehicle alongside behind a slower one, and a follower whose body grows by a metre each frame."""
+    """A leader, a vehicle alongside behind a slower one, and a follower with a body that grows by a metre each
+    frame."""
     dt = 1 / 15
     x, y, v = np.array([[24.0, 4.0, 15.0], [-1.0, 8.0, 13.0], [14.0, 8.0, 10.0], [-30.0, 4.0, 28.0]]).T
     others = np.zeros((4, 7))

@@ -1,4 +1,4 @@
-"""Default settings for an environment: the strongest verification whose assumptions hold there."""
+"""Default settings for an environment: the strongest verification with assumptions that hold there."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ class Patience:
         if 0 < self._most < self._count:
             raise _ERRORS[decision.reason](
                 f"{self._count} decisions in a row: {decision.reason.text}{f' ({cause})' if cause else ''}. "
-                "ShieldConfig.patience says after how many that is raised; 0 leaves it to the fallback for ever"
+                "ShieldConfig.patience is how many are left to the fallback before this is raised; 0 never raises it"
             )
 
 
@@ -76,7 +76,7 @@ class ActionWarning:
                 valid, hint = _valid(base, shown)
                 _log.warning(
                     "%r is no action of this environment; have %s%s. The fallback acts instead, here %s, and the "
-                    "record says %s. Told once",
+                    "record says %s. Logged once",
                     shown,
                     valid,
                     hint,

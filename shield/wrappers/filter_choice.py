@@ -41,13 +41,13 @@ def door_for(
     ----------
     env : the environment. config : settings.
     inputs : whether its actions are throttle and steering instead of meta-actions.
-    on_roads : whether the road is a network whose other roads matter.
+    on_roads : whether the road is a network, and vehicles on its other roads count.
     frames, perception : as of `Shield`. model, rule : as of `ShieldedEnv`.
 
     Raises
     ------
     ConfigError, SceneError
-        As of the filter, or if it reads the simulator's state although `perception` asks for observations.
+        As of the filter, or if it reads the simulator's state although `perception` requires observations.
     """
     base = env.unwrapped
     if not inputs and not config.simulates and not (on_roads and config.mode == "full"):

@@ -17,7 +17,8 @@ __all__ = ["known_beforehand"]
 def known_beforehand(
     env: Any, known: Known | Sequence[Known] | None, frames: bool, perception: str | PerceptionConfig
 ) -> tuple[Known, ...]:
-    """Prior map of each environment whose observations are the only source; () if the environments are in this process.
+    """Prior map of each environment, if observations are the only other source; () if the environments are in this
+    process.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ def ranking_of(policy: Any, obs: Any) -> Any:
 
     The scores are Q-values for value-based models and action probabilities for stochastic ones; higher is preferred.
     `policy` is an SB3 or sb3-contrib model, a bare policy, or any object; its method `action_scores(obs)` takes
-    precedence. None for recurrent policies, whose scores depend on more than the observation.
+    precedence. None for recurrent policies: their scores depend on more than the observation.
     """
     import torch
 

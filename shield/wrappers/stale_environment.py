@@ -42,7 +42,7 @@ class Liveness:
             check_gone_on(self._base, last[1])
         if last[1] == frame and last[2] != seen:
             raise SceneError(
-                "the shield reads an environment that nobody drives: the observation has changed, but its episode "
+                "the shield reads an environment that is not driven: the observation has changed, but its episode "
                 f"stands at frame {frame}. Pass the environment that is driven: Shield(model, env=env), and not only "
                 "PPO.load(path, env=env)"
             )

@@ -211,7 +211,7 @@ def as_decision(
     areas: FloatArray | None = None,
     source: Source | None = None,
 ) -> Decision:
-    """Decision of the first environment in `records`, whose computation began at `start` [s]."""
+    """Decision of the first environment in `records`; its computation began at `start` [s]."""
     reason, tier = REASONS[records.reason[0]], TIERS[records.tier[0]]
     margin, latency = float(records.margin[0]), perf_counter() - start
     return Decision(shown, int(records.executed[0]), reason, tier, margin, latency, plan, areas, source=source)

@@ -121,7 +121,7 @@ class TeamDoor(Foretells):
         given: Any = actions
         rows: list[Any] = list(given) if np.iterable(given) else [given]
         if len(rows) != self.agents or not np.iterable(given):
-            raise ConfigError(f"there are {self.agents} egos and {len(rows)} actions; have a tuple of one for each")
+            raise ConfigError(f"there are {self.agents} egos and {len(rows)} actions; pass a tuple with one for each")
         start, self.cause = perf_counter(), ""
         try:
             simulator, search = self._scene.read()

@@ -90,11 +90,11 @@ class Halved(VecEnvWrapper):
 
 
 def test_wrappers_that_cannot_be_undone_are_refused():
-    with pytest.raises(ConfigError, match="Halved changes what is observed"):
+    with pytest.raises(ConfigError, match="Halved changes observations"):
         Shield(Actions([1]), env=Halved(FastHighwayVecEnv(1)), **FRAMELESS)
     doubled = TransformObservation(make(), lambda obs: 2 * obs, None)
     doubled.reset(seed=0)
-    with pytest.raises(ConfigError, match="TransformObservation changes what is observed"):
+    with pytest.raises(ConfigError, match="TransformObservation changes observations"):
         Shield(Actions([1]), env=doubled, **FRAMELESS)
 
 

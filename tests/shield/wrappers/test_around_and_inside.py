@@ -172,7 +172,7 @@ def test_a_shield_that_simulates_can_be_pickled_amid_an_episode(env_id, config):
 def test_several_egos_take_a_tuple_of_actions(action):
     env = ShieldedEnv(gym.make("intersection-multi-agent-v0"), EXACT)
     env.reset(seed=0)
-    with pytest.raises(ConfigError, match=r"there are 2 egos and . actions; have a tuple"):
+    with pytest.raises(ConfigError, match=r"there are 2 egos and . actions; pass a tuple"):
         env.step(action)
 
 

@@ -47,7 +47,7 @@ def test_an_action_that_is_none_is_warned_of_once(env_id, config, settings, acti
         assert "bad_action" in {decision.reason for decision in env.last_decisions}
     (record,) = [each for each in caplog.records if each.levelno == logging.WARNING and each.name == "shield"]
     assert record.getMessage().startswith(told)
-    assert record.getMessage().endswith("the record says bad_action. Told once")
+    assert record.getMessage().endswith("the record says bad_action. Logged once")
 
 
 def test_the_shield_of_a_policy_warns_of_a_name_as_well_and_names_the_fallback(caplog):

@@ -89,7 +89,7 @@ def test_an_environment_of_several_that_is_not_stepped_is_detected():
     obs[0], *_ = vec.envs[0].step(1)
     shield.predict(obs)
     obs[1] += 0.01
-    with pytest.raises(SceneError, match="nobody drives"):
+    with pytest.raises(SceneError, match="is not driven"):
         shield.predict(obs)
 
 

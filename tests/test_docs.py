@@ -1,4 +1,4 @@
-"""The commands, tables and settings that the pages name exist, and what a policy may observe."""
+"""The commands, tables and settings that the pages name exist, and a policy may observe lidar and images."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_the_steps_of_a_how_to_run(page: str) -> None:
     assert not env.unwrapped.vehicle.crashed
 
 
-def test_every_environment_is_in_the_table_of_what_is_driven() -> None:
+def test_every_environment_is_in_the_table_of_supported_environments() -> None:
     rows = re.findall(r"^\| (\S+-v\d.*?) \|", TEXT["what-it-drives.md"], re.MULTILINE)
     listed = set()
     for name in (name for row in rows for name in row.split("; ")):
@@ -63,7 +63,7 @@ def test_every_environment_is_in_the_table_of_what_is_driven() -> None:
 
 
 @pytest.mark.slow
-def test_the_table_of_what_is_driven_is_what_its_script_prints() -> None:
+def test_the_table_of_supported_environments_is_the_output_of_its_script() -> None:
     done = subprocess.run(
         [sys.executable, str(ROOT / "benchmarks" / "what_it_drives.py")],
         env={**os.environ, "PYTHONPATH": str(ROOT)},
@@ -93,8 +93,8 @@ def test_the_page_on_configuration_has_every_setting_and_every_profile() -> None
         assert f"`{name}`" in text, name
 
 
-def test_the_page_on_configuration_says_what_is_the_default() -> None:
-    """Of what has one default for each of the profiles "idm" and "rss"; what is the same for both may say so."""
+def test_the_page_on_configuration_states_the_defaults() -> None:
+    """Each assumption has a default in the profiles "idm" and "rss"; the page may say that both are the same."""
     table = TEXT["configuration.md"].split("| assumption |")[1].split("\n\n")[0]
     for row in re.findall(r"^\| `.*\|$", table, re.MULTILINE):
         names, idm, rss, _ = (cell.strip() for cell in row.strip("|").split(" | "))

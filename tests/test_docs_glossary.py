@@ -15,7 +15,7 @@ NAMES = sorted({name for *_, names in ROWS for name in re.findall(r"`([\w.]+)`",
 
 
 def found(name: str) -> Any:
-    """The module, or what a module or a class has under this name; of a dataclass a field may be meant."""
+    """The module, or the attribute of a module or class, with this name; a field of a dataclass counts too."""
     module, rest = name, list[str]()
     while True:
         try:

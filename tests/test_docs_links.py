@@ -24,7 +24,7 @@ def anchors(page: Path) -> set[str]:
 
 
 @EACH
-def test_links_lead_somewhere(page: Path) -> None:
+def test_links_have_targets(page: Path) -> None:
     for target in re.findall(r"\]\((?!https?:|mailto:)([^)\s]+)\)", text_of(page)):
         name, _, anchor = target.partition("#")
         file = (page.parent / name) if name else page
@@ -39,7 +39,7 @@ def test_tests_that_are_named_exist(page: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["ARCHITECTURE.md", "CONTRIBUTING.md"])
-def test_what_contributors_are_sent_to_exists(name: str) -> None:
+def test_paths_named_for_contributors_exist(name: str) -> None:
     """Files and folders in backticks and in the diagram, from the root of the repository."""
     named = set(re.findall(r"\b(?:dynamics|mpc|shield|evaluation|tests)/[\w/]+(?:\.py\b|/)", (ROOT / name).read_text()))
     assert len(named) >= 15

@@ -70,7 +70,9 @@ EXPORTED = [
 
 
 @pytest.mark.parametrize(("package", "name"), EXPORTED)
-def test_what_a_package_exports_is_described_and_in_the_reference(package: str, name: str, shown: set[str]) -> None:
+def test_every_export_of_a_package_has_a_docstring_and_is_in_the_reference(
+    package: str, name: str, shown: set[str]
+) -> None:
     path = origin(package, name)
     (node,) = (n for n in ast.parse(path.read_text(encoding="utf-8")).body if getattr(n, "name", None) == name)
     assert ast.get_docstring(node)
@@ -92,13 +94,13 @@ def test_every_module_with_public_names_is_in_the_reference_or_declared_internal
             assert internal or module in modules, module
 
 
-def test_what_is_declared_internal_exists() -> None:
+def test_modules_declared_internal_exist() -> None:
     for name in reference.INTERNAL:
         path = ROOT / name.replace(".", "/")
         assert path.is_dir() or path.with_suffix(".py").is_file(), name
 
 
-def test_new_modules_turn_up_by_themselves(tmp_path: Path) -> None:
+def test_new_modules_appear_in_the_reference_automatically(tmp_path: Path) -> None:
     for package in PACKAGES:
         (tmp_path / package).mkdir()
         (tmp_path / package / "__init__.py").write_text(f'"""About {package}."""\n', encoding="utf-8")
@@ -117,7 +119,8 @@ def test_new_modules_turn_up_by_themselves(tmp_path: Path) -> None:
 
 
 def listed() -> list[str]:
-    """What mkdocs.yml lists, in order: pages of docs/, index.md for the README, and source/FILE.md for other files."""
+    """The pages that mkdocs.yml lists, in order: pages of docs/, index.md for the README, and source/FILE.md for
+    other files."""
     nav = re.search(r"^nav:\n((?: .*\n)+)", MKDOCS, re.MULTILINE)
     assert nav is not None
     assert "reference/\n" in nav[1]
@@ -155,12 +158,12 @@ def test_the_site_lists_every_option_of_every_command() -> None:
 
 
 MADE = ("what-it-drives.md", "results.md", "reproduce.md")
-"""Pages whose tables commands make: of these the prose alone counts."""
+"""Pages whose tables are the output of commands: only their prose counts."""
 EXPLANATIONS = ("how-it-decides", "roads", "exact", "perception", "simulator", "predictive-filter", "learned-dynamics")
 
 
 def words(page: Path, tables: bool = True) -> int:
-    """Words of a page without its code blocks, comments and link targets; without its tables unless asked."""
+    """Words of a page without code blocks, comments and link targets, and without tables unless `tables`."""
     text = re.sub(r"```.*?```|<!--.*?-->", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     lines = re.sub(r"\]\([^)\s]*\)", "]", text).splitlines()
     counted = (line for line in lines if tables or not line.startswith("|"))
@@ -168,7 +171,7 @@ def words(page: Path, tables: bool = True) -> int:
 
 
 def test_the_navigation_has_at_most_15000_words() -> None:
-    """So that a newcomer finds and finishes something: what was tried and measured on the way goes to docs/lab."""
+    """A newcomer can finish the navigation; experiments and measurements are on pages in docs/lab."""
     pages = {"README.md": ROOT / "README.md"} | {page: DOCS / page for page in navigation()}
     pages |= {page: ROOT / page[len("source/") :] for page in listed() if re.fullmatch(r"source/\w+\.md", page)}
     counts = {name: words(page, name not in MADE) for name, page in pages.items()}
@@ -218,8 +221,8 @@ def test_a_lab_page_is_dated_below_its_title(page: Path) -> None:
     assert re.match(r"\*Lab notes, 20\d\d-\d\d\b", note), note
 
 
-def test_what_builds_the_site_and_reads_data_sets_is_part_of_dev() -> None:
-    """So that on a fresh machine no test of either is skipped."""
+def test_the_extras_docs_and_minari_are_part_of_dev() -> None:
+    """On a fresh machine no test of either is skipped."""
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
     assert {*extras["docs"], *extras["minari"]} <= set(extras["dev"])
 
@@ -257,7 +260,7 @@ ConfigError
 """
 
 
-def test_descriptions_are_not_taken_for_types() -> None:
+def test_descriptions_are_not_rendered_as_types() -> None:
     griffe = pytest.importorskip("griffe", reason="the extra docs is not installed")
     rewritten = load("docstrings").rewritten(DOCSTRING)
     signature = griffe.Parameters(

@@ -27,7 +27,7 @@ def snippets(page: Path) -> list[tuple[str, str | None]]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_the_code_of_a_page_prints_what_the_page_shows(
+def test_the_code_of_a_page_prints_the_output_on_the_page(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     learn = PPO.learn

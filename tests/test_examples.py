@@ -38,10 +38,10 @@ def test_an_example_runs_by_itself(path, tmp_path):
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_an_example_says_how_long_it_takes(path):
-    """CPU seconds as `time python examples/NAME.py` tells them, with all kernels compiled."""
+def test_an_example_states_its_run_time(path):
+    """CPU seconds by `time python examples/NAME.py`, with all kernels compiled."""
     assert re.search(r"^Takes \d+ s on one core\.$", path.read_text(encoding="utf-8").split('"""')[1], re.MULTILINE)
 
 
-def test_there_are_thirteen():
+def test_thirteen_examples_exist():
     assert len(EXAMPLES) == 13

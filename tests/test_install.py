@@ -1,4 +1,4 @@
-"""What an installation shows to those who use it."""
+"""An installed package is visible to type checkers of other projects."""
 
 from __future__ import annotations
 

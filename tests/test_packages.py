@@ -1,4 +1,4 @@
-"""What the import packages show, and what is said of the user's files that hide one of them."""
+"""Public names of the packages, and warnings about files of the user that hide a package."""
 
 from __future__ import annotations
 
@@ -127,9 +127,9 @@ def test_a_file_of_the_working_directory_hides_no_installed_module(tmp_path, mon
     assert importlib.util.find_spec("numpy").origin != str(tmp_path / "numpy.py")
 
 
-def test_what_the_default_suite_would_skip_for_is_part_of_the_extra_dev():
-    """`make install` installs each package that a test of the default suite is skipped without; Ray has a target of its
-    own."""
+def test_packages_that_tests_are_skipped_without_are_in_the_extra_dev():
+    """`make install` installs each package without which a test of the default suite is skipped; Ray has its own
+    target."""
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
     installed = {re.split(r"[^\w-]", each)[0] for each in extras["dev"]}
     brings = {

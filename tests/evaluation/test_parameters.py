@@ -1,4 +1,4 @@
-"""Functions of `evaluation` take few parameters: what belongs together is one dataclass or NamedTuple."""
+"""Functions of `evaluation` take few parameters: related values are one dataclass or NamedTuple."""
 
 import ast
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Every named setting makes the environment that it says."""
+"""Every named setting makes its environment."""
 
 import re
 from functools import partial
@@ -132,7 +132,7 @@ def test_standing_still_is_worthless_in_training():
     assert _continuous_reward(speed=0.0)[0] == pytest.approx(1 / 1.5)
 
 
-def test_continuous_settings_say_what_is_driven():
+def test_continuous_settings_differ_from_highway_env_as_documented():
     env = get_setting("highway-continuous").make()
     default = gym.make("highway-v0")
     try:
@@ -196,7 +196,7 @@ def test_bad_traffic_is_refused(arguments, message):
 @pytest.mark.parametrize(
     "road", ["merge-v0", "merge-generic-v1", "roundabout-v1", "two-way-v0", "highway_env:u-turn-v1"]
 )
-def test_what_highway_env_does_not_make_is_answered_with_what_makes_it(road):
+def test_an_environment_that_highway_env_cannot_make_is_answered_with_a_replacement(road):
     inputs = {"action": {"type": "ContinuousAction"}}
     with pytest.raises(ConfigError, match=r"highway-env itself does not make .*ThrottleAndSteering\(") as error:
         Setting("mine", road, inputs).make()
@@ -217,7 +217,7 @@ def test_what_highway_env_does_not_make_is_answered_with_what_makes_it(road):
         {"action": {"type": "DiscreteMetaAction"}, "observation": {"type": "None"}},
     ],
 )
-def test_other_mistakes_on_such_a_road_are_told_as_they_are(config):
+def test_other_errors_on_such_a_road_are_reported_unchanged(config):
     with pytest.raises(ConfigError, match="merge-v1 cannot be made with"):
         Setting("mine", "merge-v1", config).make()
 

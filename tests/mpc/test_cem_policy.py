@@ -1,4 +1,4 @@
-"""The planner as a policy: it parks, alone and in batches; its costs are the environment's; it brakes where it must."""
+"""The planner as a policy: it parks, alone and in batches; its costs are the environment's; a failed plan brakes."""
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ def drive(setting, seed, policy_of=CEMPolicy.parking):
 
 
 @pytest.mark.parametrize(("setting", "seed"), [("parking", 11), ("parking", 12), ("parking-parked", 13)])
-def test_it_parks_and_arrives_standing(setting, seed):
+def test_the_planner_parks_and_arrives_standing(setting, seed):
     success, ego, steps, policy = drive(setting, seed)
     assert success
     assert not ego.crashed
@@ -88,7 +88,7 @@ def test_a_batch_of_environments_is_driven_as_each_alone():
         observation, *_ = vec.step(action)
 
 
-def test_stable_baselines_evaluates_it():
+def test_stable_baselines_evaluates_the_planner():
     vec = DummyVecEnv([get_setting("parking").make])
     vec.seed(31)
     returns, lengths = evaluate_policy(CEMPolicy.parking(vec), vec, 2, return_episode_rewards=True, warn=False)
@@ -96,7 +96,7 @@ def test_stable_baselines_evaluates_it():
     assert max(lengths) < 200
 
 
-def test_without_a_state_it_remembers_by_itself_until_the_goal_changes():
+def test_the_planner_keeps_its_own_state_until_the_goal_changes():
     env = get_setting("parking").make()
     observation, _ = env.reset(seed=41)
     alone, told = CEMPolicy.parking(env), CEMPolicy.parking(env)
@@ -151,7 +151,7 @@ def test_the_distance_to_the_goal_is_the_environments(state):
 
 @settings(max_examples=150, deadline=None)
 @given(poses, st.tuples(st.floats(-30, 30), st.floats(-18, 18), st.floats(-3.1, 3.1)))
-def test_whatever_touches_costs(state, other):
+def test_contact_with_an_obstacle_has_a_cost(state, other):
     """Wherever highway-env's rectangles of ego and obstacle intersect, `ObstacleCost` has its step."""
 
     def corners(x, y, heading):
@@ -217,7 +217,7 @@ def test_costs_add_up_and_scale():
         InputCost() * np.nan
 
 
-def test_what_it_cannot_drive_is_refused():
+def test_environments_without_a_parking_goal_are_refused():
     with pytest.raises(ConfigError, match="parking-v0"):
         ParkingTask(get_setting("highway-fast").make())
     with pytest.raises(ConfigError, match="have quality, fast"):

@@ -1,4 +1,4 @@
-"""Look-ahead knows the future: what it expects is what highway-env then does."""
+"""Look-ahead simulates the future: its predicted reward is that of highway-env."""
 
 from copy import deepcopy
 
@@ -17,7 +17,7 @@ SHORT = {"duration": 8, "vehicles_count": 10}
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_one_decision_ahead_it_expects_the_reward_that_comes(seed):
+def test_the_score_of_one_decision_is_its_reward(seed):
     env = gym.make("highway-fast-v0", config=SHORT)
     env.reset(seed=seed)
     policy = LookaheadPolicy(env, depth=1, beam=1)
@@ -31,7 +31,7 @@ def test_one_decision_ahead_it_expects_the_reward_that_comes(seed):
             break
 
 
-def test_what_it_expects_at_last_is_what_it_gets():
+def test_the_final_score_is_the_return():
     env = CompiledHighwayEnv("highway-fast-v0", {"duration": 5})
     env.reset(seed=4)
     policy = LookaheadPolicy(env, depth=5, beam=64)
@@ -40,7 +40,7 @@ def test_what_it_expects_at_last_is_what_it_gets():
         action, _ = policy.predict(None)
         _, reward, terminated, truncated, _ = env.step(int(action))
         total, done = total + reward, terminated or truncated
-    # As the end comes nearer, the search finds all that there is to find; a narrow beam may find more on the way.
+    # Towards the end the search covers all that is left; a narrow beam may find more on the way.
     assert total >= expected - 1e-12
 
 
@@ -56,7 +56,7 @@ def test_both_simulators_are_read_in_the_same_way():
             env.step(int(one.argmax()))
 
 
-def test_looking_does_not_move_anything():
+def test_look_ahead_does_not_change_the_simulator():
     env = CompiledHighwayEnv("highway-fast-v0", SHORT)
     env.reset(seed=2)
     before = [array.copy() for array in env.simulator.worlds]
@@ -64,7 +64,7 @@ def test_looking_does_not_move_anything():
     assert all(np.array_equal(a, b) for a, b in zip(before, env.simulator.worlds, strict=True))
 
 
-def test_it_drives_better_than_those_who_do_not_know():
+def test_look_ahead_earns_more_than_a_trained_policy():
     setting = Setting("half", "highway-fast-v0", {"duration": 15})
     for seed in range(3):
         mine, ppo = (run_episode(setting, name, seed=seed) for name in ("lookahead", "ppo-highway-fast"))
@@ -81,6 +81,6 @@ def test_it_drives_better_than_those_who_do_not_know():
         (lambda: gym.make("highway-v0"), {"depth": 0}, "at least 1, not 0 and 24"),
     ],
 )
-def test_what_it_cannot_look_ahead_in_is_refused(env, options, message):
+def test_unsupported_environments_are_refused_by_look_ahead(env, options, message):
     with pytest.raises(ConfigError, match=message):
         LookaheadPolicy(env(), **options)

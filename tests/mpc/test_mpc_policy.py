@@ -1,4 +1,4 @@
-"""`MPCPolicy` in highway-env: it drives, and refuses what it cannot drive."""
+"""`MPCPolicy` in highway-env: it drives, and refuses unsupported environments."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def make(name="highway-fast-v0", **config):
         ("racetrack-oval-v0", {"other_vehicles": 1}),
     ],
 )
-def test_it_drives(name, config, backend):
+def test_the_controller_drives(name, config, backend):
     env = make(name, **config)
     policy = MPCPolicy(env, speed=25.0, backend=backend)
     obs, _ = env.reset(seed=0)
@@ -46,7 +46,7 @@ def test_it_drives(name, config, backend):
     env.close()
 
 
-def test_it_overtakes_a_slower_vehicle_and_does_not_run_into_a_standing_one():
+def test_the_controller_overtakes_and_does_not_hit_a_standing_vehicle():
     env = make(vehicles_count=0, duration=12)
     ends = {}
     for lanes in (1, 3):
@@ -82,7 +82,7 @@ def test_a_new_episode_is_as_good_as_a_new_policy():
     np.testing.assert_array_equal(drive(used, 2), drive(MPCPolicy(env), 2))
 
 
-def test_what_it_cannot_drive_is_refused():
+def test_unsupported_environments_are_refused_by_the_controller():
     with pytest.raises(ConfigError, match=r"DiscreteMetaAction.*ContinuousAction"):
         MPCPolicy(gym.make("highway-fast-v0"))
     with pytest.raises(ConfigError, match="dynamical"):

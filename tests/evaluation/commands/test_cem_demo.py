@@ -1,4 +1,4 @@
-"""The demo of learning to park writes what it says, and what it films is parking."""
+"""The demo of learning to park writes its files, and its film shows parking."""
 
 import pytest
 from PIL import Image

@@ -1,4 +1,4 @@
-"""The command line does what its help says, and answers mistakes with one line."""
+"""The commands do what their help says, and report an error in one line."""
 
 import os
 import re
@@ -68,7 +68,7 @@ def test_evaluate_prints_markdown_and_writes_three_tables(tmp_path):
         (["train", "--recipe", "none"], "ppo-highway-fast"),
     ],
 )
-def test_mistakes_are_one_line_and_exit_code_2(arguments, message, monkeypatch, capsys):
+def test_an_error_is_one_line_and_exit_code_2(arguments, message, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["shield", *arguments])
     with pytest.raises(SystemExit) as stop:
         main()
@@ -113,7 +113,7 @@ def test_any_environment_is_evaluated_by_its_id(tmp_path):
         (["--output", "/proc/none/x.csv"], "cannot be written"),
     ],
 )
-def test_what_cannot_be_evaluated_is_said_before_the_first_episode(arguments, message):
+def test_an_invalid_evaluation_is_refused_before_the_first_episode(arguments, message):
     result = RUN.invoke(app, ["evaluate", "--policy", "faster", "--jobs", "1", *arguments])
     assert isinstance(result.exception, ConfigError)
     assert message in str(result.exception)
@@ -125,7 +125,7 @@ def test_an_environments_configuration_that_is_no_toml_is_named(tmp_path):
     assert "is no TOML file" in str(result.exception)
 
 
-def test_a_road_that_is_not_made_with_throttle_and_steering_is_answered_with_what_makes_it(tmp_path):
+def test_a_road_without_throttle_and_steering_is_answered_with_a_replacement(tmp_path):
     config = tmp_path / "inputs.toml"
     config.write_text('action = { type = "ContinuousAction" }', encoding="utf-8")
     result = RUN.invoke(app, ["evaluate", "--env-id", "two-way-v0", "--env-config", str(config)])
@@ -133,7 +133,7 @@ def test_a_road_that_is_not_made_with_throttle_and_steering_is_answered_with_wha
     assert "Have evaluation.wrappers:two-way-continuous-v0 instead" in str(result.exception)
 
 
-def test_a_key_that_an_environment_does_not_know_is_told(tmp_path, capsys):
+def test_an_unknown_configuration_key_is_warned_of(tmp_path, capsys):
     config = tmp_path / "env.toml"
     config.write_text("vehicles_counts = 3\nduration = 2\nnonsense = 1\n", encoding="utf-8")
     (setting,) = ask_settings(None, "highway-fast-v0", config)
@@ -145,7 +145,7 @@ def test_a_key_that_an_environment_does_not_know_is_told(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("policy", ["faster", "random"])
-def test_several_egos_are_answered_with_what_drives_them(policy):
+def test_several_egos_are_refused_with_the_wrapper_that_drives_them(policy):
     arguments = ["--env-id", "intersection-multi-agent-v0", "--policy", policy, "--episodes", "1", "--jobs", "1"]
     result = RUN.invoke(app, ["evaluate", *arguments])
     assert isinstance(result.exception, ConfigError)
@@ -187,7 +187,7 @@ def test_a_demo_that_cannot_be_lists_the_roads_that_can(env_id, why, tmp_path):
 
 
 def test_every_road_that_the_docs_and_the_refusal_name_can_be_demonstrated():
-    """What `make demo ENV=` is said to take."""
+    """The environments that `make demo ENV=` accepts."""
     for road in ROADS:
         check_road(setting_of(road), ShieldConfig.simulated_traffic())
     page = Path(__file__).parents[3] / "docs" / "reference" / "cli.md"
@@ -312,8 +312,8 @@ def test_a_plot_of_something_else_is_refused(tmp_path, arguments, message, monke
         ("rare --sensor exakt", "perhaps 'exact' is meant"),
     ],
 )
-def test_a_simple_mistake_is_told_before_anything_slow_is_imported(arguments, message, tmp_path):
-    """In a process of its own: the libraries that take seconds to import are not there yet."""
+def test_a_simple_error_is_reported_before_slow_imports(arguments, message, tmp_path):
+    """In a fresh process, in which libraries that take seconds to import are not loaded."""
     slow = ("torch", "stable_baselines3", "highway_env", "pandas", "numba", "casadi", "matplotlib")
     code = (
         "import sys; from evaluation.commands.cli import main\n"

@@ -1,4 +1,4 @@
-"""`shield dynamics`: a small model is fitted, stored, tested and drawn; what is wrong is said before any driving."""
+"""`shield dynamics`: a small model is fitted, stored, tested and drawn; errors are reported before any driving."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_plot_draws(model, tmp_path):
         (["plot", "errors.gif"], "a plot is written as"),
     ],
 )
-def test_what_is_wrong_is_said(words, message):
+def test_an_invalid_argument_is_refused_with_its_reason(words, message):
     result = shield(*words)
     assert isinstance(result.exception, ShieldError)
     assert message in str(result.exception)
@@ -119,7 +119,7 @@ def test_a_study_tests_all_on_the_same_driving_and_fits_nothing_twice(monkeypatc
     assert len(set(medians)) == 5
 
 
-def test_evaluate_goes_on_where_it_was_stopped(monkeypatch, tmp_path):
+def test_a_stopped_evaluation_is_continued(monkeypatch, tmp_path):
     monkeypatch.setattr(variants, "VARIANTS", {"a": TINY, "b": TINY})
     asked = []
 
@@ -161,7 +161,7 @@ def test_a_picture_of_another_kind_is_refused(tmp_path):
         plot_errors([_trial("a", 0, 0.1)], tmp_path / "a.gif")
 
 
-def test_every_variant_can_be_seeded_and_says_what_it_is():
+def test_every_variant_can_be_seeded_and_has_a_description():
     assert len({v.what for v in VARIANTS.values()}) == len(VARIANTS)
     for name in VARIANTS:
         seeded = variant(name).seeded(7)

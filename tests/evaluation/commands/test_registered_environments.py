@@ -1,4 +1,4 @@
-"""An environment that is registered with settings of its own is driven with them, wherever it is named by its id."""
+"""An environment registered with its own settings is driven with them in every command that takes an id."""
 
 import gymnasium as gym
 import numpy as np
@@ -28,7 +28,7 @@ def _registered():
 
 
 def bare(env_id, seed, **config):
-    """Return and number of decisions of always FASTER in what `gym.make` makes."""
+    """Return and number of decisions of always FASTER in the environment of `gym.make`."""
     env = gym.make(env_id, **({"config": {**CONFIG, **config}} if config else {}))
     env.reset(seed=seed)
     total, steps, done = 0.0, 0, False
@@ -41,7 +41,7 @@ def bare(env_id, seed, **config):
 
 @pytest.mark.parametrize("env_id", IDS)
 @pytest.mark.parametrize("name", ["{}", "registered_highways:{}"])
-def test_a_setting_by_id_is_what_is_registered(env_id, name):
+def test_a_setting_by_id_has_the_registered_configuration(env_id, name):
     env = setting_of(name.format(env_id)).make()
     try:
         assert {key: env.unwrapped.config[key] for key in CONFIG} == CONFIG
@@ -49,7 +49,7 @@ def test_a_setting_by_id_is_what_is_registered(env_id, name):
         env.close()
 
 
-def test_a_configuration_goes_over_what_is_registered(tmp_path):
+def test_a_configuration_file_overrides_the_registered_configuration(tmp_path):
     (tmp_path / "longer.toml").write_text("duration = 5\n", encoding="utf-8")
     setting = setting_of("registered-stock-v0", tmp_path / "longer.toml")
     assert setting.configured == {**CONFIG, "duration": 5}
@@ -63,7 +63,7 @@ def test_a_configuration_goes_over_what_is_registered(tmp_path):
 
 
 @pytest.mark.parametrize("env_id", IDS)
-def test_the_command_drives_what_is_registered(env_id, tmp_path):
+def test_the_command_drives_the_registered_environment(env_id, tmp_path):
     output = tmp_path / "x.csv"
     asked = ["evaluate", "--env-id", env_id, "--policy", "faster", "--shield", "none", "--episodes", "2", "--jobs", "1"]
     result = RUN.invoke(app, [*asked, "--seed", "100005", "--output", str(output)], catch_exceptions=False)
@@ -73,7 +73,7 @@ def test_the_command_drives_what_is_registered(env_id, tmp_path):
         assert tuple(episodes.loc[k, ["return", "steps"]]) == pytest.approx(bare(env_id, seed))
 
 
-def test_a_certificate_is_of_what_is_registered(tmp_path):
+def test_certify_drives_the_registered_environment(tmp_path):
     asked = Asked(setting_of("registered-stock-v0"), "faster", 2, 50, ShieldConfig())
     found = certify(asked, tmp_path)
     record = run_episode(asked.setting, "faster", Variant("env"), 51, simulator="highway-env")
@@ -82,7 +82,8 @@ def test_a_certificate_is_of_what_is_registered(tmp_path):
 
 
 def test_every_command_takes_an_environment_by_its_id(tmp_path):
-    """What is registered with, and what the file changes, is what certify, replay, film and falsify drive."""
+    """The commands certify, replay, film and falsify drive the registered configuration with the changes of the
+    file."""
     (tmp_path / "four.toml").write_text("duration = 4\nvehicle_count = 1\n", encoding="utf-8")
     mine = ["--env-id", "registered-stock-v0", "--env-config", str(tmp_path / "four.toml")]
 
@@ -124,8 +125,8 @@ def test_a_setting_and_an_id_are_not_both_given(command, tmp_path):
         assert message in str(result.exception)
 
 
-def test_a_find_is_replayed_in_what_is_registered():
-    """Two lanes and four others: with the class's defaults the numbers would be of another scene."""
+def test_a_find_is_replayed_in_the_registered_environment():
+    """Two lanes and four other vehicles: with the defaults of the class the scene would differ."""
     from dynamics.highway_simulator.simulator import Simulator
 
     setting = Setting("registered", "registered-stock-v0")

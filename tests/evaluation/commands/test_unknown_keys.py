@@ -1,4 +1,4 @@
-"""A key that highway-env ignores is told, wherever in a configuration it stands."""
+"""A key that highway-env ignores is reported, at any place in a configuration."""
 
 import highway_env.envs.common.action as actions
 import highway_env.envs.common.observation as observations
@@ -28,7 +28,7 @@ TYPES = {
 
 
 @pytest.mark.parametrize("kind", TYPES)
-def test_a_misspelt_key_of_every_type_is_told_with_the_one_that_is_near(kind):
+def test_a_misspelt_key_of_every_type_is_reported_with_the_nearest_one(kind):
     where, valid, wrong = TYPES[kind]
     setting = Setting("mine", "highway-fast-v0", {where: {"type": kind, **valid}})
     assert unknown_keys(setting) == []
@@ -38,8 +38,8 @@ def test_a_misspelt_key_of_every_type_is_told_with_the_one_that_is_near(kind):
     assert f"has no {wrong!r} in [{where}] of type {kind}, and ignores it; perhaps {right!r} is meant" in told
 
 
-def test_what_a_type_reads_is_what_its_constructor_takes():
-    """`DiscreteAction` swallows a `speed_range`; a goal's observation hands on what it does not take itself."""
+def test_the_known_keys_of_a_type_are_its_constructor_arguments():
+    """`DiscreteAction` ignores a `speed_range`; the observation of a goal passes on keys that it does not use."""
     assert "speed_range" in arguments_of(actions.ContinuousAction)
     assert "speed_range" not in arguments_of(actions.DiscreteAction)
     assert {"scales", "vehicles_count"} <= set(arguments_of(observations.KinematicsGoalObservation))

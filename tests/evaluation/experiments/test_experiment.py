@@ -1,4 +1,4 @@
-"""Experiments in Python: any policy and environment in, the same episodes as the command line out, on one machine or
+"""Experiments in Python: any policy and environment, with the episodes of the command line, on one machine or
 several."""
 
 import gymnasium as gym
@@ -129,7 +129,7 @@ def test_a_file_describes_an_experiment(tmp_path):
         Experiment.from_toml(path)
 
 
-def test_mistakes_are_told_where_they_are_made(tmp_path):
+def test_invalid_arguments_are_refused_at_construction(tmp_path):
     with pytest.raises(ConfigError, match="perhaps 'full' is meant"):
         Experiment("faster", shield="ful")
     with pytest.raises(ConfigError, match="perhaps 'episodes' is meant"):
@@ -149,7 +149,7 @@ def test_mistakes_are_told_where_they_are_made(tmp_path):
         evaluate({"none": 3.5}, "short-highway-v0", episodes=1)
 
 
-def test_an_output_goes_on_where_it_was_stopped(tmp_path):
+def test_an_output_is_continued_with_resume(tmp_path):
     path = tmp_path / "episodes.parquet"
     first = evaluate("idle", "short-highway-v0", episodes=2, output=path)
     more = evaluate("idle", "short-highway-v0", episodes=3, output=path, resume=True)

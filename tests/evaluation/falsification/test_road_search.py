@@ -1,4 +1,4 @@
-"""The search for the worst on networks of roads: what it searches, what it finds, and that it is found again."""
+"""The search for the worst case on road networks: its coordinates, its finds, and their replay."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ TOLD = ShieldConfig.for_roads()
 PLANTED = TOLD.replace(assumptions=replace(TOLD.assumptions, visible_distance=8.0))
 """A shield that counts on being seen in a lane from two lanes beside it."""
 LOOKS_AHEAD = TOLD.replace(assumptions=replace(TOLD.assumptions, looks_ahead=True))
-"""On merge-v0 nobody looks beyond the end of the own lane."""
+"""On merge-v0 no vehicle looks beyond the end of its own lane."""
 
 
 def drawn(numbers, seed):
@@ -39,8 +39,8 @@ def drawn(numbers, seed):
     return np.random.default_rng(seed).random(numbers.count)
 
 
-def test_what_has_no_neighbours_is_kept_or_drawn_anew():
-    """The estimate is right where one coordinate stands for 50 seeds, of which each has another bound."""
+def test_coordinates_without_neighbours_are_kept_or_redrawn():
+    """The estimate is right where one coordinate selects among 50 seeds with different bounds."""
     bounds = 2.0 + np.random.default_rng(0).random(50)
     truth, asked = norm.sf(bounds).mean(), []
 
@@ -56,8 +56,8 @@ def test_what_has_no_neighbours_is_kept_or_drawn_anew():
     assert not np.isin(asked[1], asked[0]).all()
 
 
-def test_a_script_says_what_a_generator_would():
-    """Shares that are drawn evenly become what a generator draws."""
+def test_a_script_draws_the_distributions_of_a_generator():
+    """Uniform shares are transformed to the draws of a generator."""
     script, n = Script(np.random.default_rng(1).random(4001)), 4000
     held = np.array([script.integers(2, 20) for _ in range(n)])
     assert set(held) == set(range(2, 20))
@@ -87,8 +87,8 @@ def parts(numbers):
 
 @pytest.mark.parametrize("setting", [MERGE, EXIT, *later(ROUNDABOUT)])
 @pytest.mark.parametrize("drivers", ["bold", "wild"])
-def test_whoever_comes_too_near_is_named(setting, drivers):
-    """And what is verified stays as far from whoever keeps to the rules as it was, from each frame to the next."""
+def test_a_vehicle_that_comes_too_near_is_a_violator(setting, drivers):
+    """The clearance of a verified plan to vehicles without a violation does not shrink from frame to frame."""
     numbers = RoadNumbers(drivers, decisions=6)
     for seed in range(2):
         found = drive_numbers(setting, numbers, drawn(numbers, seed))
@@ -97,9 +97,9 @@ def test_whoever_comes_too_near_is_named(setting, drivers):
         assert 0 < found.counted <= found.frames
 
 
-def test_who_drives_into_the_ego_is_named_before_it_crashes():
-    """In the frame in which it is in the buffer, and highway-env foresees the contact: the ego has done what it was
-    told so far, and is judged without the blow that is to come."""
+def test_a_vehicle_that_drives_into_the_ego_is_named_before_the_crash():
+    """It is named in the frame in which it enters the buffer and highway-env predicts the contact. The ego has
+    executed its inputs so far, and is judged without the impact of the coming frame."""
     numbers = RoadNumbers("wild")
     found = drive_numbers(EXIT, numbers, np.random.default_rng(0).random((15, numbers.count))[14])
     assert found.crashed
@@ -129,7 +129,7 @@ def test_a_hole_is_found_and_driven_again(tmp_path):
 
 
 @pytest.mark.slow
-def test_who_passes_on_a_ramp_is_foreseen():
+def test_a_vehicle_that_passes_on_a_ramp_is_predicted():
     assert not search_roads(MERGE, "bold", episodes=50, seed=3_500_000).hole
 
 
@@ -168,10 +168,10 @@ def at(vehicle, lane, s, speed):
 
 
 @pytest.mark.parametrize(("config", "crashes"), [(TOLD, False), (LOOKS_AHEAD, True)])
-def test_an_assumption_that_nobody_keeps_is_named_before_the_crash(config, crashes):
-    """Two obstacles stand where the next road begins. Told that the follower looks beyond the end of its lane, the ego
-    stops on that road, and the follower drives into it: the monitor names it by the rule of distance, so it is no hole.
-    Told the truth, the ego stops before, where it is seen."""
+def test_a_wrong_assumption_leads_to_a_violation_before_the_crash(config, crashes):
+    """Two obstacles stand where the next road begins. With the assumption that the follower looks beyond the end of
+    its lane, the ego stops on that road, and the follower drives into it: the monitor names it by the distance rule,
+    so this is no loophole. Without that assumption the ego stops before, where it is visible."""
     follower, lanes = (("a", "b", 0), 145.0, 20.0), (("b", "c", 0), ("b", "c", 1))
     ego = ("a", "b", 0), 170.0, 15.0
     env, referee, tier = drive_placed(config, ego, follower, [1] * 12, [(lane, 25.0) for lane in lanes])
@@ -190,7 +190,7 @@ def test_the_planted_hole_is_found_by_a_search_on_merges():
     assert not drive_numbers(MERGE, RoadNumbers("bold", searched.find.seed), np.array(searched.find.shares)).hole
 
 
-def test_the_command_says_what_would_be_valid(tmp_path):
+def test_the_command_lists_valid_arguments(tmp_path):
     run, path = CliRunner(), tmp_path / "find.json"
     for asked, message in (
         (["--setting", "merge"], "settings that simulate it"),
@@ -210,12 +210,12 @@ def test_the_command_says_what_would_be_valid(tmp_path):
         (MERGE, EXACT, 100, "at least 500"),
     ],
 )
-def test_a_search_among_idm_asks_for_what_it_can_drive(setting, config, episodes, message):
+def test_a_search_among_idm_traffic_refuses_unsupported_settings(setting, config, episodes, message):
     with pytest.raises(ConfigError, match=message):
         falsify(setting, ANY, config, episodes)
 
 
-def test_a_search_among_drivers_asks_for_what_it_can_drive():
+def test_a_search_among_drivers_refuses_unsupported_settings():
     with pytest.raises(ConfigError, match=f"at least {LEVEL}"):
         search_roads(MERGE, "bold", episodes=10)
     with pytest.raises(ConfigError, match="have wild, bold, mixed"):
@@ -232,7 +232,7 @@ def test_a_search_among_drivers_asks_for_what_it_can_drive():
 
 @pytest.mark.parametrize("setting", [EXIT, *later(ROUNDABOUT)])
 def test_episodes_of_seeds_are_those_of_plain_runs(setting):
-    """What is chosen is driven as `run` drives it."""
+    """The chosen episodes are driven as by `run`."""
     seeds = [3, 900, 17]
     many = Many(setting, "faster", EXACT)
     rows, found = many.run(seeds), many.run_seeds(seeds)
@@ -242,7 +242,7 @@ def test_episodes_of_seeds_are_those_of_plain_runs(setting):
     assert again.clearance.tolist() == found.clearance.tolist()
 
 
-def test_what_is_lost_at_the_reset_is_no_find():
+def test_an_episode_lost_at_the_reset_is_no_find():
     """A leader stands 2.5 m ahead, 7 m/s slower (see docs/lab/exact.md)."""
     assert Many(get_setting("two-way"), "faster", EXACT).run_seeds([410026, 0]).lost.tolist() == [True, False]
 
@@ -251,7 +251,7 @@ def test_what_is_lost_at_the_reset_is_no_find():
     ("name", "policy"),
     [("exit", ANY), *later(*((name, ANY) for name in ("roundabout", "merge", "two-way", "u-turn", "intersection")))],
 )
-def test_what_is_found_is_driven_again(name, policy, tmp_path):
+def test_a_find_on_a_network_is_replayed(name, policy, tmp_path):
     found = falsify(get_setting(name), policy, EXACT, episodes=60, samples=30)
     assert 0 < found.find.clearance < found.median
     found.find.save(tmp_path / "find.json")
@@ -261,7 +261,7 @@ def test_what_is_found_is_driven_again(name, policy, tmp_path):
 
 
 @pytest.mark.slow
-def test_who_owes_its_distance_is_asked_again_where_the_course_is_another():
-    """On a ring the ego goes aside, which keeps it clear of one behind, and back before it."""
+def test_obligations_are_evaluated_again_for_another_manoeuvre():
+    """On a ring the ego moves aside, clear of a follower, and back before it."""
     found = search_roads(Setting("roundabout-v1", "roundabout-v1"), "mixed", episodes=LEVEL, seed=5_700_000)
     assert not found.hole

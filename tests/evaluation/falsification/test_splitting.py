@@ -1,4 +1,4 @@
-"""Multilevel splitting against probabilities that are known, and noise that is drawn anew from some decision on."""
+"""Multilevel splitting against known probabilities, and noise that is redrawn from some decision on."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def of_coins(b):
 
 
 def of_normals(b, cells=4001, least=-40.0):
-    """P(max >= b) of a walk of normal steps, by convolution on a grid of what has not got there."""
+    """P(max >= b) of a walk of normal steps, by convolution on a grid of the paths below b."""
     x, dx = np.linspace(least, b, cells, endpoint=False, retstep=True)
     x = x + dx / 2
     step = np.exp(-0.5 * (dx * np.arange(-cells + 1, cells)) ** 2) * dx / np.sqrt(2 * np.pi)
@@ -62,7 +62,7 @@ def of_normals(b, cells=4001, least=-40.0):
         *later((normals, 15.0, of_normals(15.0), 0.01)),
     ],
 )
-def test_it_is_right_on_the_average(walk, b, truth, share):
+def test_the_splitting_estimate_is_unbiased(walk, b, truth, share):
     found = [multilevel_splitting(walk, b, 100, share, seed=1000 * k) for k in range(20)]
     estimates = np.array([each.probability for each in found])
     error = estimates.std() / np.sqrt(len(found))
@@ -92,7 +92,7 @@ def test_the_last_paths_lead_where_they_say():
     assert list(found.levels) == sorted(found.levels)
 
 
-def test_a_fork_leaves_what_was_before():
+def test_a_fork_keeps_the_noise_before_it():
     path = Path(7).fork(5, 11).fork(9, 12)
     assert path.fork(6, 13).forks == ((5, 11), (6, 13))
     before, after = normals([path, path.fork(6, 13)])
@@ -150,7 +150,7 @@ def test_an_exact_sensor_is_refused():
         NoisyEpisodes(DriverSpec(SEEN, "faster", Variant()))
 
 
-def test_the_command_says_what_it_found():
+def test_the_command_prints_the_probability():
     args = ["rare", "--setting", "highway-fast-seen", "--sensor", "metric-0.5", "--samples", "4", "--jobs", "1"]
     done = CliRunner().invoke(app, args)
     assert done.exit_code == 0, done.output

@@ -1,4 +1,4 @@
-"""Subset simulation against probabilities that are known, and finds that are driven again in highway-env itself."""
+"""Subset simulation against known probabilities, and finds that are replayed in highway-env."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ BARE = ShieldConfig(mode="none")
 
 
 def side(beta):
-    """The half-space whose probability is that of a standard normal beyond beta."""
+    """The half-space with the probability of a standard normal beyond beta."""
     return lambda x: beta - x.sum(axis=1) / np.sqrt(x.shape[1])
 
 
 @pytest.mark.parametrize(("beta", "spread"), [(2.0, 0.15), (3.719, 0.3), (4.5, 0.4)])
-def test_it_is_right_on_the_average(beta, spread):
+def test_the_subset_estimate_is_unbiased(beta, spread):
     found = [subset_simulation(side(beta), 50, 2000, seed=seed) for seed in range(40)]
     estimates, truth = np.array([x.probability for x in found]), norm.sf(beta)
     error = estimates.std() / truth
     assert error < spread
     assert abs(estimates.mean() / truth - 1) < 3 * error / np.sqrt(len(found)) + 0.02
-    # What it says of its own error is a lower bound of that, and not far from it.
+    # The stated error is a lower bound of the true one, and near to it.
     assert 0.6 < np.mean([x.variation for x in found]) / error < 1.3
 
 
@@ -49,7 +49,7 @@ def test_two_ways_to_fail_are_both_found():
     assert np.mean(found) == pytest.approx(truth, rel=0.2)
 
 
-def test_the_levels_lead_there():
+def test_the_levels_descend_to_zero():
     found = subset_simulation(side(4.0), 20, 1000, seed=3)
     bounds = [level.bound for level in found.levels]
     assert bounds == sorted(bounds, reverse=True)
@@ -66,7 +66,7 @@ def test_a_common_event_is_counted():
     assert found.probability == pytest.approx(0.5, abs=0.06)
 
 
-def test_what_never_happens_has_no_probability():
+def test_an_impossible_event_has_probability_zero():
     found = subset_simulation(lambda x: 1.0 + np.abs(x[:, 0]), 2, 100, seed=0, most=500)
     assert found.probability == 0.0
     assert found.performance[0] < 1.01
@@ -109,7 +109,7 @@ def test_chosen_scenes_are_distributed_as_drawn_ones():
     assert offences.sum() == 0
 
 
-def test_the_rate_of_a_bare_policy_is_inside_the_interval():
+def test_the_crash_rate_of_an_unshielded_policy_is_inside_the_interval():
     """Some 24 % of the bundled PPO's episodes end in a crash, by plain counting."""
     counted = Many(FAST, "ppo-highway-fast", BARE).run(range(600))["crashed"].mean()
     found = crash_probability(FAST, "ppo-highway-fast", BARE, samples=400, seed=1)
@@ -155,8 +155,9 @@ def test_a_weak_assumption_is_found_out(weak, tmp_path):
         {"acceleration": 1.0},
     ],
 )
-def test_what_the_traffic_does_not_keep_to_is_found_out(weak):
-    """By the monitor, where no crash comes of it: each episode breaks it, and of the default none in a hundred."""
+def test_an_assumption_that_the_traffic_breaks_is_detected(weak):
+    """The monitor detects it without a crash: each episode has a violation, and under the defaults fewer than one in
+    a hundred."""
     told = [
         falsify(FAST, ANY, ShieldConfig(assumptions=Assumptions(**x)), episodes=500, samples=500).offended
         for x in (weak, {})
@@ -173,7 +174,7 @@ def test_what_the_traffic_does_not_keep_to_is_found_out(weak):
         *later((ANY, ShieldConfig.simulated_traffic(), 500), ("faster", ShieldConfig.simulated_traffic(), 500)),
     ],
 )
-def test_what_is_found_is_replayed(policy, config, budget):
+def test_a_find_is_replayed(policy, config, budget):
     found = falsify(FAST, policy, config, episodes=budget, samples=budget)
     assert 0 < found.find.clearance < found.median
     assert replay(found.find).clearance == pytest.approx(found.find.clearance, abs=1e-9)
@@ -194,7 +195,7 @@ def test_the_commands(tmp_path):
     assert "probability" in result.output
 
 
-def test_what_is_no_find_is_refused(tmp_path):
+def test_a_file_that_is_no_find_is_refused(tmp_path):
     path = tmp_path / "find.json"
     path.write_text("{}")
     with pytest.raises(ConfigError, match="no find"):
@@ -229,8 +230,8 @@ def test_bold_drivers_find_a_weak_assumption_out_by_the_monitor(weak, rule):
     assert rule in met.by_rule
 
 
-def test_bold_drivers_find_a_hole_and_it_is_replayed(tmp_path):
-    """A shield that keeps no distance has nobody to name for it."""
+def test_bold_drivers_find_a_loophole_and_it_is_replayed(tmp_path):
+    """A shield without a distance has no violator to name."""
     run, find, none = CliRunner(), tmp_path / "find.json", tmp_path / "none.toml"
     ShieldConfig(buffer=Buffer(0.0, 0.0)).save(none)
     asked = ["falsify", str(find), "--drivers", "bold", "--episodes", "20", "--jobs", "1", "--config", str(none)]
@@ -263,7 +264,7 @@ def test_strata_are_drawn_as_resets_draw_them():
         scenes = strata.draw(k, 500, rng)
         assert (of_lanes(scenes) == k).all()
         assert ((scenes >= 0) & (scenes < 1)).all()
-    # Everybody else is anywhere else.
+    # All other vehicles are elsewhere.
     assert set(np.unique((strata.draw(0, 500, rng)[:, [0, 2, 18]] * 4).astype(int))) == {0, 1, 2, 3}
 
 

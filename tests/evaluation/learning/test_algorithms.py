@@ -1,4 +1,4 @@
-"""Which algorithm a saved model was trained with is read from the file; what does not fit is named."""
+"""The algorithm of a saved model is read from its file; a file that does not fit is named."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_a_model_of_another_algorithm_is_named_as_such(saved):
 
 
 @pytest.mark.parametrize("content", [None, b"nothing", {}, {"data": "[1"}], ids=["none", "bytes", "empty", "broken"])
-def test_what_is_no_model_is_named_as_such(tmp_path, content):
+def test_a_file_that_is_no_model_is_named(tmp_path, content):
     path = tmp_path / "model.zip"
     if isinstance(content, bytes):
         path.write_bytes(content)
@@ -66,7 +66,7 @@ def test_algorithms_go_by_their_names():
         get_algorithm("reinforce")
 
 
-def test_the_names_on_the_command_line_are_those_there_are():
+def test_the_names_on_the_command_line_are_those_of_the_registry():
     assert sorted(TRAINABLE) == sorted(_ACTION_SPACES)
     for name in BASELINES:
         parks = name.startswith("cem-")

@@ -1,4 +1,4 @@
-"""What Stable-Baselines3 sees of the compiled roads is what it sees of highway-env, and what it learns, to the bit."""
+"""Stable-Baselines3 observes and learns the same on compiled roads as in highway-env, to the bit."""
 
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
@@ -65,7 +65,7 @@ def test_training_takes_it_by_itself_and_gives_the_same_model(tmp_path, setting)
     assert all(torch.equal(a, b) for a, b in zip(*networks, strict=True))
 
 
-def test_what_compiled_roads_have_not_is_named():
+def test_a_missing_attribute_of_compiled_roads_is_named():
     env = FastRoadVecEnv(1, "merge-v0")
     with pytest.raises(ConfigError, match=r"has no 'road'; have config"):
         env.get_attr("road")

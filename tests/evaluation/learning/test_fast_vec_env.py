@@ -1,4 +1,4 @@
-"""What Stable-Baselines3 learns in the compiled highway is what it learns in highway-env, to the bit."""
+"""Stable-Baselines3 learns the same in the compiled highway as in highway-env, to the bit."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -81,7 +81,7 @@ def test_training_in_either_simulator_gives_the_same_model(tmp_path, normalise):
         assert all(torch.equal(a, b) for a, b in zip(networks[0], other, strict=True))
 
 
-def test_what_it_does_not_serve_is_trained_in_highway_env(tmp_path):
+def test_a_setting_that_is_not_compiled_is_trained_in_highway_env(tmp_path):
     setting = Setting("grid", "highway-fast-v0", {**CONFIG, "observation": {"type": "TimeToCollision"}})
     options = {"hyperparameters": {"n_steps": 8, "batch_size": 8, "n_epochs": 1}, "progress": False}
     trained = train(setting, "ppo", 8, 1, output=tmp_path / "x.zip", **options)
@@ -101,7 +101,7 @@ def test_evaluate_policy_and_vecnormalize_take_it_as_any_other():
     assert env.get_attr("config", [1])[0]["vehicles_count"] == 6
 
 
-def test_what_a_compiled_highway_has_not_is_named():
+def test_a_missing_attribute_of_a_compiled_highway_is_named():
     env = FastHighwayVecEnv(2, config=CONFIG)
     with pytest.raises(ConfigError, match=r"has no 'road'; have config"):
         env.get_attr("road")
@@ -111,7 +111,7 @@ def test_what_a_compiled_highway_has_not_is_named():
         env.set_attr("config", {})
 
 
-def test_a_live_environment_takes_over_where_the_compiled_one_is():
+def test_a_live_environment_continues_the_compiled_one():
     env, live = FastHighwayVecEnv(2, config=CONFIG), gym.make("highway-fast-v0", config=CONFIG)
     env.seed(3)
     env.reset()

@@ -1,4 +1,4 @@
-"""A model that was trained in VecNormalize is driven with the statistics that lie beside it."""
+"""A model trained in VecNormalize is driven with the statistics in its folder."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_actions_and_preferences_are_those_of_the_model_in_its_own_environment(t
     assert differs, "the statistics make no difference here: another model is needed for this test"
 
 
-def test_both_doors_take_it(trained):
+def test_both_wrappers_accept_a_normalised_model(trained):
     _, _, folder = trained
     env = gym.make("highway-fast-v0")
     policy = make_policy(str(folder / "mine.zip"), env)
@@ -82,7 +82,7 @@ def test_a_model_alone_has_none(tmp_path):
     assert statistics_beside(tmp_path / "a.zip") is None
 
 
-def test_it_is_said_on_the_command_line(trained):
+def test_the_command_line_names_the_statistics(trained):
     _, _, folder = trained
     result = CliRunner().invoke(
         app, ["evaluate", "--policy", str(folder / "mine.zip"), "--shield", "none", "--episodes", "1", "--jobs", "1"]
@@ -92,7 +92,7 @@ def test_it_is_said_on_the_command_line(trained):
 
 
 @pytest.mark.parametrize("content", [b"nothing", pickle.dumps([1, 2])], ids=["bytes", "list"])
-def test_what_is_no_statistics_is_named_as_such(trained, tmp_path, content):
+def test_a_file_that_holds_no_statistics_is_named(trained, tmp_path, content):
     model, _, _ = trained
     model.save(tmp_path / "mine.zip")
     (tmp_path / "vecnormalize.pkl").write_bytes(content)

@@ -33,7 +33,7 @@ def test_every_observation_of_an_episode_is_the_original(setting, steering, seed
     assert len(seen) > 3
 
 
-def test_it_goes_on_after_a_reset():
+def test_observations_continue_after_a_reset():
     env, again = FastObservations(get_setting("racetrack").make()), get_setting("racetrack").make()
     for seed in (0, 1):
         env.reset(seed=seed)

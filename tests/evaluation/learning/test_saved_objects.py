@@ -1,4 +1,4 @@
-"""Every model's file is loaded for prediction, or the object in it that stands in the way is named with a way out."""
+"""Every model file is loaded for prediction, or the object that prevents it is named with a remedy."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def ppo(env, **settings):
 
 
 def rewritten(path, target, change):
-    """A copy of a model's file whose settings are changed."""
+    """A copy of a model file with changed settings."""
     source = zipfile.ZipFile(path)
     data = json.loads(source.read("data"))
     change(data)
@@ -100,7 +100,7 @@ def test_a_model_of_hindsight_experience_replay_is_loaded_without_its_environmen
     model.save(tmp_path / "her.zip")
     loaded = make_policy(str(tmp_path / "her.zip"), env)
     acts_alike(model, loaded, env)
-    # It can be saved again as what it was, and does not pretend that it can go on learning.
+    # It can be saved unchanged, and refuses to continue learning.
     loaded.save(tmp_path / "again.zip")
     again = SAC.load(tmp_path / "again.zip", env=env, device="cpu")
     assert isinstance(again.replay_buffer, HerReplayBuffer)
@@ -141,7 +141,7 @@ def test_a_model_of_gyms_time_for_other_spaces_is_refused(tmp_path, env, config,
 
 
 @pytest.mark.parametrize("name", ["policy_kwargs", "policy_class"])
-def test_what_the_network_is_built_from_is_named_with_a_way_out_that_works(tmp_path, env, name):
+def test_an_unreadable_part_of_the_network_is_named_with_a_working_remedy(tmp_path, env, name):
     model = ppo(env, policy_kwargs=NARROW)
     model.save(tmp_path / "mine.zip")
     broken = rewritten(tmp_path / "mine.zip", tmp_path / "broken.zip", spoil(name))
@@ -171,8 +171,8 @@ def test_policy_settings_of_another_kind_are_named_as_well(tmp_path, env):
         load_model(rewritten(tmp_path / "mine.zip", tmp_path / "broken.zip", change))
 
 
-def test_what_only_training_needs_may_be_unreadable(tmp_path, env):
-    """Schedules are functions, which another Python pickles in another way."""
+def test_a_part_needed_for_training_alone_may_be_unreadable(tmp_path, env):
+    """Schedules are functions, which another Python version pickles differently."""
     model = ppo(env, learning_rate=lambda left: 1e-3 * left, clip_range=lambda left: 0.2 * left)
     model.save(tmp_path / "mine.zip")
     names = ("learning_rate", "lr_schedule", "clip_range", "rollout_buffer_class")

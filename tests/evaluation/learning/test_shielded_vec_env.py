@@ -32,17 +32,17 @@ EITHER = pytest.mark.parametrize(
 
 
 def in_highway_env(shield, count=1):
-    """What is trained in without the compiled copy."""
+    """The training environments without the compiled copy."""
     return DummyVecEnv([lambda: Monitor(ShieldedEnv(gym.make("highway-fast-v0", config=SHORT), shield))] * count)
 
 
 def summed_up(info):
-    """What an info says of an episode that is over, but for the times; None where it is not."""
+    """The summary of a finished episode in an info, without times; None if the episode goes on."""
     episode = info.get("shield_episode")
     return episode and {name: value for name, value in episode.items() if name != "latency_ms"}
 
 
-def test_it_is_a_vec_env_of_shielded_envs():
+def test_the_vec_env_equals_shielded_envs():
     theirs = DummyVecEnv([lambda: Monitor(ShieldedEnv(CompiledHighwayEnv("highway-fast-v0", SHORT)))] * 3)
     mine = ShieldedVecEnv(3, "highway-fast-v0", SHORT)
     for world in (theirs, mine):
@@ -69,7 +69,7 @@ def test_it_is_a_vec_env_of_shielded_envs():
     assert overridden > 0
 
 
-def test_what_is_simulated_is_filtered_by_simulation():
+def test_simulated_traffic_settings_filter_by_simulation():
     world, env = ShieldedVecEnv(2, "highway-fast-v0", shield=ShieldConfig.simulated_traffic()), CompiledHighwayEnv()
     world.seed(60)
     world.reset()
@@ -146,7 +146,7 @@ def test_maskable_ppo_ends_with_the_same_network(shield):
 
 
 @EITHER
-def test_maskable_ppo_proposes_what_passes(shield):
+def test_maskable_ppo_proposes_actions_that_pass(shield):
     world = ShieldedVecEnv(4, "highway-fast-v0", SHORT, shield)
     assert is_masking_supported(world)
     model = MaskablePPO("MlpPolicy", world, n_steps=16, batch_size=32, seed=0, device="cpu").learn(128)
@@ -172,7 +172,7 @@ def test_masks_are_had_of_some_environments_as_of_all():
 
 
 @pytest.mark.parametrize("world", [ShieldedVecEnv, FastHighwayVecEnv, FastRoadVecEnv])
-def test_what_is_not_there_is_not_there_to_those_who_ask(world):
+def test_a_missing_attribute_is_an_attribute_error(world):
     world = world(1)
     assert not world.has_attr("road")
     for name in ("action_masks", "latency"):
@@ -183,7 +183,7 @@ def test_what_is_not_there_is_not_there_to_those_who_ask(world):
                 ask("road")
 
 
-def test_what_the_shield_did_is_logged(tmp_path):
+def test_the_interventions_are_logged(tmp_path):
     world = ShieldedVecEnv(2, "highway-fast-v0", SHORT)
     model = PPO("MlpPolicy", world, n_steps=8, batch_size=16, device="cpu")
     model.set_logger(configure(str(tmp_path), ["csv"]))
@@ -201,6 +201,6 @@ def test_a_model_learns_in_it(shield):
     assert model.num_timesteps == 128
 
 
-def test_what_is_not_compiled_is_refused():
+def test_a_shield_that_is_not_compiled_is_refused():
     with pytest.raises(ConfigError, match="mode"):
         ShieldedVecEnv(2, shield=ShieldConfig(mode="ttc"))

@@ -1,4 +1,4 @@
-"""Skills in compiled environments against `Skills` around single ones, and that SB3 learns over them."""
+"""Skills in compiled environments against `Skills` around single ones, and learning with SB3."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -62,8 +62,8 @@ def fast_of_many(world, which, infos):
     ],
     ids=["verdict", "distance", "function", "network", "never"],
 )
-def test_they_are_skills_around_each_environment(one, compiled, interrupt, interrupt_many):
-    """Observations, rewards, ends and what is said of each skill are the same to the bit, over episodes that end."""
+def test_skills_of_a_batch_are_those_of_single_environments(one, compiled, interrupt, interrupt_many):
+    """Observations, rewards, ends and the info of each skill are the same to the bit, in episodes that end."""
     theirs = several(lambda: Skills(one(), SKILLS, interrupt, discount=0.9), 3)
     mine = SkillsVecEnv(compiled(), SKILLS, interrupt_many, discount=0.9)
     for world in (theirs, mine):
@@ -131,8 +131,8 @@ def test_a_predicate_that_raised_leaves_no_skill_half_way():
     assert [info["skill"]["actions"] for info in infos] == [[1], [1]]
 
 
-def test_an_environment_whose_skill_is_over_waits():
-    """Its state and its observation are those of the end of its skill."""
+def test_an_environment_with_a_finished_skill_waits():
+    """Its state and observation are those of the end of its skill."""
     world = SkillsVecEnv(FastHighwayVecEnv(2, "highway-fast-v0"), {"LONG": [1] * 4, "SHORT": [1]})
     alone = FastHighwayVecEnv(2, "highway-fast-v0")
     for each in (world, alone):
@@ -170,7 +170,7 @@ def test_masks_are_those_of_the_first_actions():
 
 
 @pytest.mark.parametrize("algorithm", [PPO, DQN, MaskablePPO])
-def test_stable_baselines_learns_over_them(algorithm):
+def test_stable_baselines_learns_over_skills_of_a_batch(algorithm):
     world = SkillsVecEnv(ShieldedVecEnv(2, "highway-fast-v0", CONFIG), interrupt=overridden)
     options = {"learning_starts": 4, "buffer_size": 100} if algorithm is DQN else {"n_steps": 8, "batch_size": 8}
     model = algorithm("MlpPolicy", world, device="cpu", **options).learn(16)
@@ -182,7 +182,7 @@ def test_maskable_ppo_learns_over_skills_of_single_environments():
     assert MaskablePPO("MlpPolicy", world, n_steps=8, batch_size=8, device="cpu").learn(16).num_timesteps == 16
 
 
-def test_what_cannot_work_is_told():
+def test_invalid_skills_of_a_batch_are_refused():
     world = FastHighwayVecEnv(2, "highway-fast-v0")
     with pytest.raises(ConfigError, match="have Skills around each"):
         SkillsVecEnv(several(bare, 2))

@@ -1,4 +1,4 @@
-"""Crashes built by hand, one for each cause, and real ones."""
+"""Crashes built by hand, one for each cause, and recorded ones."""
 
 import numpy as np
 import pytest
@@ -100,26 +100,26 @@ def test_a_leader_that_stops_dead_at_a_proper_gap_has_violated_the_assumptions()
     assert cause(ego, other) is Cause.ASSUMPTION_VIOLATED
 
 
-def test_a_leader_that_crashed_with_somebody_else_just_before_has_violated_them_too():
+def test_a_leader_that_crashed_just_before_has_violated_the_assumptions():
     other = drive(30, 0, 25, braking=5.9, crashed_at=8)
     assert cause(drive(0, 0, 25), other) is Cause.ASSUMPTION_VIOLATED
 
 
-def test_a_tailgater_has_no_excuse_when_its_leader_stops_dead():
+def test_a_tailgating_ego_is_at_fault_when_its_leader_stops_abruptly():
     assert cause(drive(0, 0, 25), drive(5.5, 0, 25, braking=25.0)) is Cause.EGO_AT_FAULT
 
 
-def test_a_wreck_that_has_lain_there_is_no_excuse():
+def test_a_wreck_that_was_there_before_leaves_the_ego_at_fault():
     other = drive(100, 0, 0, crashed_at=0)
     assert cause(drive(0, 0, 20), other) is Cause.EGO_AT_FAULT
 
 
-def test_an_overlap_at_reset_is_nobodys_driving():
+def test_an_overlap_at_reset_is_attributed_to_the_reset():
     history = collide(drive(0, 0, 25), drive(4, 0, 25), from_reset=True)
     assert attribute_from_simulator_state(history) is Cause.SPAWNED_IN_COLLISION
 
 
-def test_a_gap_at_reset_that_no_braking_could_save_is_the_spawns():
+def test_a_crash_unavoidable_from_the_reset_is_attributed_to_the_reset():
     ego, other = drive(0, 0, 30), drive(10, 0, 5)
     assert cause(ego, other, from_reset=True) is Cause.SPAWNED_IN_COLLISION
     assert cause(ego, other, from_reset=False) is Cause.EGO_AT_FAULT

@@ -1,4 +1,4 @@
-"""Summaries count what the episodes say, and tables survive being written and read."""
+"""Summaries equal the counts of the episodes, and tables survive a round trip through files."""
 
 import io
 import math
@@ -132,12 +132,12 @@ def test_a_comparison_is_paired_by_seed(episodes):
     assert row["crash_rate_difference"] == pytest.approx(-0.75)
 
 
-def test_without_unshielded_rows_there_is_no_comparison(episodes):
+def test_a_comparison_needs_unshielded_rows(episodes):
     assert compare(episodes[episodes["door"] == "env"]).empty
 
 
 @pytest.mark.parametrize("ending", ["csv", "parquet"])
-def test_files_hold_what_was_measured(episodes, tmp_path, ending):
+def test_files_preserve_the_measurements(episodes, tmp_path, ending):
     path = write_table(episodes, tmp_path / "deep" / f"episodes.{ending}")
     again = read_episodes(path)
     pd.testing.assert_frame_equal(summarise(again), summarise(episodes))
@@ -153,7 +153,7 @@ def test_other_files_and_other_tables_are_refused(episodes, tmp_path):
         summarise(pd.concat([episodes, episodes]))
 
 
-def test_latex_has_the_cells_of_markdown_with_what_is_special_escaped(episodes):
+def test_latex_has_the_cells_of_markdown_with_special_characters_escaped(episodes):
     summary = summarise(episodes.assign(setting="a_b & c"))
     lines = latex(summary).splitlines()
     (columns,) = re.fullmatch(r"\\begin\{tabular\}\{(lllr+)\}", lines[0]).groups()

@@ -1,5 +1,5 @@
-"""Least clearances are those of polygons, least times to collision those of each pair, and headways times to the rear
-of a vehicle ahead."""
+"""Least clearances are those of polygons, least times to collision those of each pair, and headways times to the
+rear of a vehicle ahead."""
 
 import numpy as np
 import pytest
@@ -21,8 +21,8 @@ SIZE = np.array([0.0, 0.0, 0.0, 0.0, 5.0, 2.0])
 
 
 @given(frames=FRAMES)
-def test_the_least_of_an_episode_is_that_of_each_pair_in_each_frame(frames):
-    """What is left out as too far away to be the least is not the least."""
+def test_the_least_of_an_episode_is_the_least_over_pairs_and_frames(frames):
+    """Pairs left out as too far away do not have the least value."""
     frames = frames * SCALE + SIZE
     pairs = [(frame[0], other) for frame in frames for other in frame[1:]]
     gaps = [float(separation(ego, other)) for ego, other in pairs]
@@ -31,7 +31,7 @@ def test_the_least_of_an_episode_is_that_of_each_pair_in_each_frame(frames):
     assert least_headway(frames) == min(least_headway(np.stack([ego, other])[None]) for ego, other in pairs)
 
 
-def test_an_ego_alone_is_near_nobody():
+def test_an_ego_alone_has_infinite_clearance():
     alone = np.array([[[0.0, 0.0, 0.0, 20.0, 5.0, 2.0]]])
     assert (least_clearance(alone), least_headway(alone)) == (np.inf, np.inf)
     assert least_time_to_collision(alone) == HORIZON

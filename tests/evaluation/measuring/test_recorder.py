@@ -1,4 +1,4 @@
-"""What is read of an episode, on straight, curved and branching roads, with meta-actions and with a wheel."""
+"""Recorded quantities of an episode, on straight, curved and branching roads, with meta-actions and with steering."""
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def test_the_crash_itself_is_no_jerk():
 
 
 def drive_racetrack(frames, seed=3):
-    """The racetrack driven with highway-env's own lane controller; what was recorded, and the ego's positions."""
+    """Drive the racetrack with highway-env's own lane controller; returns the record and the ego's positions."""
     env = get_setting("racetrack").override({"other_vehicles": 3}).make()
     env.reset(seed=seed)
     base = env.unwrapped
@@ -107,7 +107,7 @@ def test_a_network_that_branches_is_recorded_as_it_is():
     assert (record.attribution == "unattributed") == record.crashed
 
 
-def test_who_turns_the_wheel_leaves_the_road():
+def test_constant_steering_is_recorded_as_off_the_road():
     setting = get_setting("highway-continuous").override({"vehicles_count": 2})
     env = setting.make()
     env.reset(seed=0)
@@ -139,7 +139,7 @@ def test_an_episode_off_the_road_says_so(setting, policy):
     assert record.steps < 300
 
 
-def test_those_who_come_and_go_are_recorded_while_they_are_there():
+def test_vehicles_that_enter_and_leave_are_recorded_while_present():
     env = get_setting("intersection").make()
     env.reset(seed=5)
     road, ego, least, counts = env.unwrapped.road, env.unwrapped.vehicle, [np.inf], [len(env.unwrapped.road.vehicles)]

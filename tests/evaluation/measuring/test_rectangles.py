@@ -21,7 +21,7 @@ def points(box, n=25):
 
 @settings(deadline=None)
 @given(BOX, BOX)
-def test_it_is_the_distance_of_the_nearest_of_many_points(one, two):
+def test_the_distance_is_that_of_the_nearest_of_many_points(one, two):
     (a, coarse_a), (b, coarse_b) = points(one), points(two)
     sampled = np.sqrt(((a[:, None] - b) ** 2).sum(axis=-1).min())
     distance = float(separation(one, two))
@@ -30,7 +30,7 @@ def test_it_is_the_distance_of_the_nearest_of_many_points(one, two):
 
 
 @given(BOX, BOX, st.floats(-4, 4), st.floats(-50, 50))
-def test_it_does_not_depend_on_the_frame_or_the_order(one, two, angle, shift):
+def test_the_distance_does_not_depend_on_frame_or_order(one, two, angle, shift):
     def moved(box):
         c, s = np.cos(angle), np.sin(angle)
         out = box.copy()
@@ -47,7 +47,7 @@ def test_a_cross_overlaps_although_no_corner_is_inside():
     assert separation(bar, post) == 0.0
 
 
-def test_it_is_batched():
+def test_the_distance_is_batched():
     one = np.tile([0.0, 0.0, 0.0, 0.0, 4.0, 2.0], (3, 1, 1))
     two = np.tile([10.0, 0.0, 0.0, 0.0, 4.0, 2.0], (3, 5, 1))
     np.testing.assert_allclose(separation(one, two), np.full((3, 5), 6.0))

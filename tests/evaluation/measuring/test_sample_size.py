@@ -1,4 +1,4 @@
-"""The number of episodes that a statement needs is the one after which the interval says so."""
+"""The required number of episodes is the least after which the interval supports the statement."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from shield.errors import ConfigError
 
 
 @given(rate=st.floats(1e-5, 0.5))
-def test_so_many_without_a_crash_and_no_fewer(rate):
+def test_the_required_number_without_a_crash_is_minimal(rate):
     n = episodes_without_a_crash(rate)
     assert clopper_pearson(0, n).high <= rate * (1 + 1e-9)
     if n > 1:
@@ -22,7 +22,7 @@ def test_so_many_without_a_crash_and_no_fewer(rate):
 
 
 @pytest.mark.parametrize(("one", "other"), [(0.3, 0.1), (0.05, 0.02), (0.5, 0.4)])
-def test_so_many_find_the_difference_as_often_as_is_said(one, other):
+def test_the_required_number_detects_the_difference_with_the_stated_power(one, other):
     n, rng = episodes_to_tell_apart(one, other), np.random.default_rng(0)
     first, second = rng.binomial(n, one, 20_000) / n, rng.binomial(n, other, 20_000) / n
     mean = 0.5 * (first + second)
@@ -30,7 +30,7 @@ def test_so_many_find_the_difference_as_often_as_is_said(one, other):
     assert (z > stats.norm.ppf(0.975)).mean() == pytest.approx(POWER, abs=0.03)
 
 
-def test_the_command_says_both_and_mistakes_are_told():
+def test_the_command_prints_both_numbers_and_refuses_invalid_rates():
     said = CliRunner().invoke(app, ["episodes", "--rate", "1e-3", "--versus", "0.01"])
     assert said.exit_code == 0
     assert "2,995 episodes without a crash" in said.output

@@ -1,4 +1,4 @@
-"""Intervals contain their estimates, shrink with more samples, and refuse what is not a sample."""
+"""Intervals contain their estimates and shrink with more samples; an invalid sample is refused."""
 
 import math
 
@@ -112,7 +112,7 @@ def test_quantiles():
 
 
 @pytest.mark.parametrize("bad", [[], [1.0, float("nan")], [[1.0]]])
-def test_what_is_not_a_sample_is_refused(bad):
+def test_an_invalid_sample_is_refused(bad):
     with pytest.raises(ConfigError):
         bootstrap_mean(bad)
 
@@ -124,8 +124,8 @@ def test_unequal_pairs_and_impossible_counts_are_refused():
         wilson(5, 3)
 
 
-def test_a_nested_bootstrap_knows_that_groups_differ():
-    """Two groups of which all or nobody crashed say little of a third: pooled, the interval is far too narrow."""
+def test_a_nested_bootstrap_includes_the_variance_between_groups():
+    """Two groups with crash rates 0 and 1 say little of a third; the pooled interval is far too narrow."""
     groups = [np.zeros(500), np.ones(500)]
     nested, pooled = nested_bootstrap(groups), bootstrap_mean(np.concatenate(groups))
     assert (nested.low, nested.high) == (0.0, 1.0)

@@ -1,4 +1,4 @@
-"""The data of a replay is that of the records, bit for bit, and what is rolled out changes nothing."""
+"""The data of a replay equal the records, bit for bit, and rollouts change nothing."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def driven():
 
 
 def data_of(page):
-    """What the page holds, read as the page reads it."""
+    """The data of the page, read as the page reads them."""
     return json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', page, re.S).group(1))
 
 
@@ -116,8 +116,8 @@ def test_a_copy_that_is_followed_is_the_simulator_itself():
     assert compared > 50
 
 
-def test_what_would_have_happened_is_told(driven):
-    """Always FASTER, let through, crashes into the one that the proposal was refused for; the path ends there."""
+def test_the_outcome_of_a_refused_proposal_is_in_the_data(driven):
+    """Always FASTER, let through, crashes into the binding vehicle of the refusal; the path ends there."""
     replay, _, _ = driven
     crashes = [each for each in replay.overrides if each.what_if is not None and each.what_if.crashed]
     assert len(crashes) > 3
@@ -149,8 +149,8 @@ def test_the_page_refers_to_nothing_outside_it(driven, tmp_path):
     assert not re.search(r"@[A-Z]+@", page)
 
 
-def test_text_of_the_user_is_no_markup(driven):
-    """A setting whose name is markup neither ends the data nor becomes an element."""
+def test_user_text_is_escaped(driven):
+    """A setting whose name contains markup neither ends the data nor becomes an element."""
     replay, _, _ = driven
     about = {**replay.about, "setting": "</script><b>@SCRIPT@"}
     page = to_html(replace(replay, about=about))

@@ -1,4 +1,4 @@
-"""The replay page in a browser: what is clicked, pressed and dragged shows the values of the records, bit for bit."""
+"""The replay page in a browser: mouse and keys show the values of the records, bit for bit."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_every_frame_shows_the_bits_of_the_records(page, driven):
     assert shown(page) == len(decisions) - 1
 
 
-def test_next_override_goes_from_one_to_the_next_and_says_why(page, driven):
+def test_next_override_steps_through_the_overrides_with_their_explanations(page, driven):
     """The button and the key `o` stop at each override in turn, with the sentence of `Decision.explain`."""
     _, replay, records = driven
     button = page.find_element(By.ID, "next")
@@ -107,8 +107,8 @@ def test_next_override_goes_from_one_to_the_next_and_says_why(page, driven):
     assert shown(page) == replay.overrides[-2].frame
 
 
-def test_what_would_have_happened_is_shown_and_played(page, driven):
-    """What came of the proposal in the simulator stands beside its override; playing it moves no frame."""
+def test_the_outcome_of_a_refused_proposal_is_shown_and_played(page, driven):
+    """The simulated outcome of the proposal is shown beside its override; playing it moves no frame."""
     _, replay, _ = driven
     override = next(each for each in replay.overrides if each.what_if.crashed)
     while shown(page) != override.frame:
@@ -141,7 +141,7 @@ def test_keys_move_through_the_episode(page, driven):
     assert shown(page) == 0
 
 
-def test_it_plays_and_pauses_at_the_speed_that_is_chosen(page, driven):
+def test_the_page_plays_and_pauses_at_the_chosen_speed(page, driven):
     """Space plays and pauses; four times as fast is about four times as far."""
     _, replay, _ = driven
     press(page, " ")
@@ -169,8 +169,8 @@ def test_the_timeline_and_the_list_are_clicked(page, driven):
     assert shown(page) == replay.overrides[3].frame
 
 
-def test_it_opens_within_a_second_without_a_request(browser, driven):
-    """From its file, to the first picture; nothing but the file is loaded, and nothing is complained of."""
+def test_the_page_opens_within_a_second_without_a_request(browser, driven):
+    """From its file to the first picture; only the file is loaded, and the browser reports no error."""
     resized(browser, 1280, 900)
     browser.get("about:blank")
     browser.get_log("performance")

@@ -52,8 +52,9 @@ def test_the_worst_case_on_a_network_is_shown_as_strips_of_lanes():
     assert all(area.body >= 0 for each in replay.overrides for area in each.areas)
 
 
-def test_throttle_and_steering_say_what_the_actuators_got():
-    """On a racetrack each frame has its inputs; a rollout goes on with the policy, unshielded, at most one a second."""
+def test_a_replay_of_throttle_and_steering_has_the_executed_inputs():
+    """On a racetrack each frame has its inputs; a rollout continues with the policy, unshielded, at most one a
+    second."""
     replay = replayed("racetrack", "idle", 3, duration=12)
     decided = [frame for frame in replay.frames if frame.step >= 0]
     assert replay.about["actions"] == "inputs"
@@ -88,7 +89,7 @@ def test_a_rule_alone_and_no_area():
 
 @pytest.mark.parametrize("setting", ["merge", "exit", "two-way", "u-turn", "parking-parked"])
 def test_every_road_has_a_page(setting):
-    """What is drawn is there: lanes, the ego in each frame, and the records of all steps."""
+    """The page has lanes, the ego in each frame, and the records of all steps."""
     replay, record = collect(asked_for(setting, "random", 4, duration=10))
     assert replay.lanes
     assert len(replay.steps) == record.steps

@@ -1,4 +1,4 @@
-"""Episodes of a run are found by their row, driven again as they were, and refused where they cannot be."""
+"""Episodes of a run are found by their row, driven again identically, and refused if that is impossible."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def run(tmp_path_factory):
 
 
 def test_a_row_of_a_table_becomes_a_page(run):
-    """The page beside the table has the episode of that row: its seed, and what came of it, to the bit."""
+    """The page beside the table has the episode of that row: its seed and its results, to the bit."""
     result = RUN.invoke(app, ["replay", str(run), "--episode", "3"])
     assert result.exit_code == 0, result.output
     page = (run.parent / "mine-episode-3.html").read_text(encoding="utf-8")
@@ -47,8 +47,8 @@ def test_a_row_of_a_table_becomes_a_page(run):
         (["--episode", "2", "--html", "page.pdf"], "written as .html"),
     ],
 )
-def test_what_cannot_be_replayed_is_said_at_once(run, options, said):
-    """Each mistake has a message that says what would have been right."""
+def test_an_episode_that_cannot_be_replayed_is_refused_at_once(run, options, said):
+    """Each error message names the valid choice."""
     error = RUN.invoke(app, ["replay", str(run), *options]).exception
     assert isinstance(error, ConfigError)
     assert said in str(error)
@@ -64,8 +64,8 @@ def test_a_seed_has_no_row_and_no_file_no_run():
     assert "there is no run missing.parquet" in str(error)
 
 
-def test_an_episode_that_is_another_is_told(run, tmp_path, monkeypatch):
-    """Where the episode driven again differs from its row, the command says so and ends with 1."""
+def test_an_episode_that_differs_from_its_row_is_reported(run, tmp_path, monkeypatch):
+    """If the replayed episode differs from its row, the command says so and exits with 1."""
     from evaluation.running.records import EpisodeRecord
 
     row = EpisodeRecord.row
@@ -75,7 +75,7 @@ def test_an_episode_that_is_another_is_told(run, tmp_path, monkeypatch):
 
 
 def test_an_episode_of_a_certificate_is_found_in_its_folder(tmp_path):
-    """A folder of `shield certify` says what was driven; the episode is the one of its table."""
+    """A folder of `shield certify` records what was driven; the episode is that of its table."""
     options = ["--setting", "highway-fast", "--policy", "faster", "--episodes", "2", "--jobs", "1", "--seed", "60"]
     assert RUN.invoke(app, ["certify", str(tmp_path), *options]).exit_code == 0
     result = RUN.invoke(app, ["replay", str(tmp_path), "--episode", "1"])
@@ -124,8 +124,8 @@ def test_an_episode_in_an_environment_of_the_users_own_is_replayed(own_run):
     assert own_run.with_name("mine-episode-1.html").is_file()
 
 
-def test_a_module_that_is_gone_is_named(own_run):
-    """A message, and no traceback, says which module is missing and where to run the command."""
+def test_a_missing_module_is_named(own_run):
+    """The message, without a traceback, names the missing module and the folder to run the command in."""
     own_run.with_name("short_road.py").unlink()
     error = RUN.invoke(app, ["replay", str(own_run), "--episode", "1"]).exception
     assert isinstance(error, ConfigError)

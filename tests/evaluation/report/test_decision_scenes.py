@@ -1,4 +1,4 @@
-"""The figures of the decision are drawn from what the shield computes."""
+"""The figures of the decision are drawn from values that the shield computes."""
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def test_the_bounds_are_those_of_the_assumptions():
     assert middle < off < 4 + 2 * a.lean < across
 
 
-def test_whoever_owes_the_ego_its_distance_does_not_count_and_all_others_do():
+def test_only_vehicles_with_an_obligation_are_left_out_of_the_margin():
     found = duties()
     assert set(found.owes) == set(Duty)
     owing = np.array([duty is Duty.DISTANCE for duty in found.owes])

@@ -1,4 +1,4 @@
-"""Pictures show the scene, carry the right colour, and land where highway-env drew the vehicles."""
+"""Pictures show the scene with the right colours, and drawings match the places of highway-env's vehicles."""
 
 from dataclasses import replace
 
@@ -23,14 +23,14 @@ def shots() -> list[Shot]:
     return record("highway-fast", "faster", 0, first=1, last=3)
 
 
-def test_there_is_a_shot_of_each_simulation_frame(shots):
+def test_each_simulation_frame_has_a_picture(shots):
     assert len(shots) == 30
     assert [shot.age for shot in shots] == [*range(15)] * 2
     np.testing.assert_allclose(np.diff([shot.time for shot in shots]), 1 / 15)
     assert shots[0].time == pytest.approx(1.0)
 
 
-def test_the_background_is_drawn_although_there_is_no_display(shots):
+def test_the_background_is_drawn_without_a_display(shots):
     assert all(np.unique(shot.image.reshape(-1, 3), axis=0).shape[0] > 5 for shot in shots[::7])
 
 
@@ -48,7 +48,7 @@ def test_the_plan_begins_where_the_ego_is_drawn(shots):
 WHEEL = get_setting("highway-continuous").override({"vehicles_count": 10}, name="wheel")
 
 
-def test_a_film_of_throttle_and_steering_shows_what_replaced_them():
+def test_a_film_of_throttle_and_steering_shows_the_replacements():
     shots = record(WHEEL, "throttle", 0, first=30, last=60)
     assert len(shots) == 60
     np.testing.assert_allclose(np.diff([shot.time for shot in shots]), 1 / 20)
@@ -105,7 +105,7 @@ def test_a_network_of_roads_is_filmed_around_the_ego(config):
         red, green, blue = shot.image[250, 500].astype(int)
         assert green > max(red, blue) + 30, "an ego with meta-actions is green in highway-env's picture"
         assert draw(shot).size[0] == width
-    # What is planned begins where the ego is.
+    # The plan begins at the ego.
     assert _pixels(shots[0], shots[0].decision.plan[:1, :2])[0] == pytest.approx((1000, 500), abs=4)
 
 
@@ -155,7 +155,7 @@ def test_a_film_is_written(tmp_path):
 
 
 def test_a_film_is_written_of_an_episode_without_an_override(tmp_path, monkeypatch):
-    """It was refused after 30 episodes; what is looked for is told before each of them."""
+    """Once it was refused after 30 episodes; the search is announced before each of them."""
     monkeypatch.setattr(video, "_SEARCH", 3)
     setting = get_setting("highway-fast").override({"duration": 3, "vehicles_count": 1}, name="empty")
     tried = []
@@ -182,8 +182,8 @@ def test_films_on_networks_show_the_plan_and_the_others(settings):
     assert np.any(np.asarray(draw(shots[-1])) != np.asarray(nothing))
 
 
-def test_what_is_shaded_is_where_the_others_may_be():
-    """The outlines of the first time hold each vehicle's middle: that is where it is now."""
+def test_the_shaded_areas_are_the_reachable_places_of_the_other_vehicles():
+    """The outlines of the first time contain the present centre of each vehicle."""
     shot = record("roundabout", "faster", 0, last=1, config="worst-case")[0]
     env = get_setting("roundabout").make()
     env.reset(seed=0)

@@ -48,7 +48,7 @@ def test_each_road_is_named(tmp_path, monkeypatch):
     assert (strips[0] != strips[1]).any()
 
 
-def test_a_picture_of_what_is_simulated_speaks_of_no_assumptions(monkeypatch):
+def test_a_picture_of_simulated_traffic_mentions_no_assumptions(monkeypatch):
     said = []
     text = ImageDraw.ImageDraw.text
     monkeypatch.setattr(
@@ -62,7 +62,7 @@ def test_a_picture_of_what_is_simulated_speaks_of_no_assumptions(monkeypatch):
     assert "others, foretold for 1 s" in said
 
 
-def test_what_cannot_be_drawn_is_refused(tmp_path):
+def test_invalid_pictures_are_refused(tmp_path):
     with pytest.raises(ConfigError, match="png"):
         draw_gallery(tmp_path / "roads.gif")
     with pytest.raises(ConfigError, match="not 10000"):
@@ -79,8 +79,8 @@ def test_what_cannot_be_drawn_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("env_id", ["roundabout-v1", "highway-fast-v0"])
-def test_the_picture_goes_on_with_the_episode(env_id):
-    """Rendered before and after the step: the plan begins where the ego is."""
+def test_the_picture_follows_the_episode(env_id):
+    """Rendered before and after the step: the plan begins at the ego."""
     raw = gym.make(env_id, render_mode="rgb_array")
     shield = Shield(lambda obs: 3, raw, ShieldConfig.simulated_traffic().replace(record=True), frames=False)
     env = ShieldOverlay(raw, shield)
@@ -106,7 +106,7 @@ def test_the_worst_case_shows_where_others_may_be_and_where_ways_meet(tmp_path, 
     assert red + green > 20
 
 
-def test_what_is_foreseen_begins_where_everybody_is():
+def test_the_prediction_begins_at_the_present_places():
     env = gym.make("roundabout-v1")
     env.reset(seed=1)
     door = RoadDoor(env.unwrapped, ShieldConfig.for_roads())

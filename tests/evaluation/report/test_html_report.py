@@ -1,4 +1,4 @@
-"""The page of a report: it needs nothing but itself, and says what the tables say."""
+"""The page of a report is self-contained, and has the values of the tables."""
 
 import math
 import os
@@ -31,7 +31,7 @@ def runs(tmp_path_factory):
     return [folder / "one.parquet", folder / "two.parquet"]
 
 
-def test_a_page_says_what_the_tables_say_and_needs_nothing_else(runs, tmp_path):
+def test_a_page_has_the_cells_of_the_tables_and_is_self_contained(runs, tmp_path):
     page = write_report(runs, tmp_path / "page.html").read_text(encoding="utf-8")
     for path in runs:
         for row in summarise(Result.read(path).episodes).to_dict("records"):
@@ -129,7 +129,7 @@ def test_buffers_are_rows_of_their_own(tmp_path):
     assert "lengths are numbers" in str(CliRunner().invoke(app, [*asked, "--force", "--buffer", "wide"]).exception)
 
 
-def test_mistakes_are_told(runs, tmp_path):
+def test_invalid_reports_are_refused(runs, tmp_path):
     with pytest.raises(ConfigError, match="at least one run"):
         write_report([], tmp_path / "a.html")
     with pytest.raises(ConfigError, match="no file"):

@@ -1,4 +1,4 @@
-"""The overlay shows decisions in Gymnasium's own recordings, and changes nothing about the drive."""
+"""The overlay shows decisions in Gymnasium's own recordings, and does not change the drive."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def holds(picture, color):
     return bool((np.abs(picture.astype(int) - color).max(axis=-1) < 12).any())
 
 
-def test_an_overridden_decision_shows_what_was_proposed_and_what_is_done():
+def test_an_overridden_decision_shows_the_proposal_and_the_executed_plan():
     env = ShieldOverlay(ShieldedEnv(made(), RECORD))
     env.reset(seed=5)
     before = env.render()
@@ -81,7 +81,7 @@ def test_gymnasiums_recorder_has_every_frame(tmp_path):
     assert frames.shape[2] == 1200
 
 
-def test_it_works_around_a_policys_shield_and_changes_nothing():
+def test_an_overlay_around_a_policys_shield_changes_nothing():
     paths = []
     for overlaid in (False, True):
         bare = made()
@@ -100,7 +100,7 @@ def test_it_works_around_a_policys_shield_and_changes_nothing():
 
 
 @pytest.mark.parametrize(("env_id", "action"), [("highway-fast-v0", 0), ("racetrack-v0", np.array([0.3], np.float32))])
-def test_the_copy_goes_where_the_ego_would_have_gone(env_id, action):
+def test_the_copied_ego_drives_the_path_of_the_proposal(env_id, action):
     env = made(env_id)
     env.reset(seed=4)
     base = env.unwrapped
@@ -118,7 +118,7 @@ def test_the_copy_goes_where_the_ego_would_have_gone(env_id, action):
 
 @pytest.mark.parametrize("env_id", ["roundabout-v1", "intersection-v2"])
 def test_a_copied_ego_that_drives_on_to_other_roads_leaves_the_ego_its_route(env_id):
-    """highway-env takes what has been driven off the route itself."""
+    """highway-env removes passed roads from the route itself."""
     env, driven = made(env_id, render_mode=None), 0
     env.reset(seed=4)
     ego, done = env.unwrapped.vehicle, False
@@ -151,8 +151,8 @@ def test_a_proposal_that_is_none_is_not_driven():
     ],
 )
 @pytest.mark.parametrize("around", ["env", "policy"])
-def test_it_draws_without_a_switch(env_id, config, settings, around):
-    """`record=True` was asked for before anything was drawn, and on networks there was nothing to draw."""
+def test_the_overlay_draws_with_default_settings(env_id, config, settings, around):
+    """Once `record=True` was required, and on networks nothing was drawn."""
     bare = made(env_id, **config)
     action = 1 if not config else np.zeros(2, np.float32)
     if around == "env":

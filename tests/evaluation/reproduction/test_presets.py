@@ -1,4 +1,4 @@
-"""The report's noise, confidence, intent, override and skills, as its script and its text have them."""
+"""The report's noise, confidence, intent, override and skills, as in its script and in its text."""
 
 import math
 from dataclasses import replace
@@ -46,7 +46,7 @@ def test_the_texts_noise_is_on_others_that_are_present():
 
 
 def test_the_scripts_confidence_is_a_variance_across_one_row():
-    """Of x, y, vx, vy = 1, 0, 1, 0 the mean is 1/2 and the variance of the population 1/4."""
+    """For x, y, vx, vy = 1, 0, 1, 0 the mean is 1/2 and the population variance 1/4."""
     assert script.confidence_across_features(scene([1, 1, 0, 1, 0]))[0] == pytest.approx(math.exp(-0.25))
     assert script.confidence_across_features(scene([0, 0, 0, 0, 0]))[0] == 1.0
 
@@ -61,7 +61,7 @@ def test_the_scripts_intent_compares_the_normalised_speed():
     ("ego_x", "other", "score"),
     [
         (0.9, [1, 0.2, 0, 0, 0, 0.5], 0.4),  # int(0.9) = int(0.2): r = 0
-        (1.1, [1, 0.2, 0, 0, 0, 0.5], 0.9),  # int(1.1) = 1 and nobody has it: r = 1
+        (1.1, [1, 0.2, 0, 0, 0, 0.5], 0.9),  # int(1.1) = 1 and no row has it: r = 1
         (0.9, [0, 0.2, 0, 0, 0, 0.5], 0.9),  # absent: its flag is 1 less than the ego's
         (-0.9, [1, 0.9, 0, 0, 0, 0.5], 0.4),  # int() goes towards 0
     ],
@@ -88,7 +88,7 @@ def test_the_override_takes_y_for_the_speed_and_replaces_every_action(y, action)
     st.floats(0, 1, width=32),
 )
 def test_the_override_score_is_half_the_confidence_or_a_half_more(numbers, present, confidence):
-    """r is 0 or 1, whatever is shown, as the presence flags are."""
+    """r is 0 or 1 for any observation, as the presence flags are."""
     rows = np.zeros((4, 6), np.float32)
     rows[:, 1:3] = np.array(numbers).reshape(4, 2)
     rows[:, 0], rows[0, 5] = [1, *present], confidence
@@ -104,7 +104,7 @@ def test_a_skill_is_gated_by_the_last_column_of_the_ego():
     assert gated.tolist() == [True, False]
 
 
-def test_the_texts_override_stops_lane_changes_near_somebody():
+def test_the_texts_override_stops_lane_changes_near_a_vehicle():
     rows = scene([1, 1, 0, 0.3, 0], [1, 0.05, 0, 0, 0])  # 10 m ahead
     assert text.override_lane_changes(rows, np.array(0), 20.0)[0] == 4
     assert text.override_lane_changes(rows, np.array(3), 20.0)[0] == 3
@@ -114,7 +114,7 @@ def test_the_texts_override_stops_lane_changes_near_somebody():
 
 
 def test_confidence_over_time_and_intent_are_those_of_the_wrappers():
-    """To 32 bits, in an episode of the compiled highway, whatever goes on in other environments."""
+    """To 32 bits, in an episode of the compiled highway, independent of other environments."""
     env = CompiledHighwayEnv("highway-fast-v0")
     wrapped = Intent(Confidence(env))
     shown, _ = wrapped.reset(seed=4)
@@ -129,7 +129,7 @@ def test_confidence_over_time_and_intent_are_those_of_the_wrappers():
 
 
 class Hashing:
-    """Chooses by what is shown, so that a wrong order or a wrong observation gives other episodes."""
+    """Chooses by the observation, so that a wrong order or a wrong observation gives other episodes."""
 
     def __init__(self, actions):
         self.actions = actions
@@ -205,7 +205,7 @@ def test_the_reports_skills_are_never_interrupted_in_its_script():
 
 @given(st.integers(1, 4), st.floats(-1, 1))
 def test_a_steady_reward_is_worth_the_same_however_often_skills_are_interrupted(k, reward):
-    """Semi-Markov: what a skill of k steps pays stands for a whole skill's discount."""
+    """Semi-Markov: the reward of a skill of k steps is scaled to the discount of a whole skill."""
     env = _env("skills-inside")
     whole = env._paid([reward] * 4)
     assert env._paid([reward] * k) == pytest.approx(whole, abs=1e-12)
@@ -238,7 +238,7 @@ def test_an_override_costs_its_penalty():
     assert seen == {False, True}
 
 
-def test_the_environment_is_one_of_gymnasiums():
+def test_the_environment_passes_gymnasiums_check():
     from stable_baselines3.common.env_checker import check_env
 
     env = ReportEnv(CODED, VARIANTS["noise-intent"])
@@ -247,8 +247,8 @@ def test_the_environment_is_one_of_gymnasiums():
     assert env.observation_space.shape == (5, 7)
 
 
-def test_what_is_near_on_the_roundabout_is_near_in_metres():
-    """Its rows are absolute, and 1 is 100 m and 15 m/s."""
+def test_nearness_on_the_roundabout_is_in_metres():
+    """Its rows are absolute; 1 means 100 m and 15 m/s."""
     rows = scene([1, 0.5, -0.1, 0, 0.01], [1, 0.56, -0.02, 0, 0.03])  # 6 m and 8 m away, at 0.15 and 0.45 m/s
     assert text.somebody_near(rows, 10.1, text.ROUNDABOUT)
     assert not text.somebody_near(rows, 9.9, text.ROUNDABOUT)
@@ -294,7 +294,7 @@ def test_the_provided_baselines_return_is_that_of_a_stopped_car():
 
 
 def test_skills_and_the_shield_drive_on_the_roundabout():
-    """What is counted of a short episode behind the shield; a skill that is overridden ends at that step."""
+    """The statistics of a short episode behind the shield; an overridden skill ends at that step."""
     preset = ROUNDABOUT_PRESETS["as-coded"]
     preset = replace(preset, setting=preset.setting.override({"duration": 3}))
     rows = drive_many(preset, VARIANTS["skills-inside"], Hashing(5), [11, 12])

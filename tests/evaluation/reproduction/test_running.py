@@ -1,4 +1,4 @@
-"""`shield reproduce highway`: what it writes, that it goes on where it stopped, and what it says of the claims."""
+"""`shield reproduce highway`: its files, its continuation after a stop, and its verdict on the claims."""
 
 import json
 
@@ -36,7 +36,7 @@ def driven(tmp_path_factory):
     return folder, ended
 
 
-def test_it_writes_the_table_the_episodes_and_what_made_them(driven):
+def test_a_run_writes_the_table_the_episodes_and_the_manifest(driven):
     folder, ended = driven
     episodes = pd.read_parquet(folder / "episodes.parquet")
     assert {"preset", "variant", "training_seed", *COLUMNS} <= set(episodes.columns)
@@ -65,8 +65,8 @@ def test_it_writes_the_table_the_episodes_and_what_made_them(driven):
     assert all(isinstance(each["holds"], bool) and each["sentence"] for each in claims)
 
 
-def test_what_is_finished_is_not_done_again_and_more_is_added(driven, monkeypatch):
-    """The same command drives and trains nothing; one with more episodes drives those alone, of the same models."""
+def test_finished_episodes_are_not_repeated_and_more_are_added(driven, monkeypatch):
+    """The same command drives and trains nothing; with more episodes it drives only those, with the same models."""
     folder, _ = driven
     variants = tuple(get_variants(ROWS.split(",")))
     asked = Reproduction(get_preset("as-coded"), variants, 2, 4, 1, 64)
@@ -97,8 +97,8 @@ def test_parts_of_another_experiment_are_refused(driven):
         run(Reproduction(get_preset("as-coded"), tuple(get_variants(["noise"])), 2, 4, 1, 64), folder)
 
 
-def test_a_run_that_is_stopped_goes_on_with_the_next_part(tmp_path, monkeypatch):
-    """The rows are those of a run that was not stopped; a file that was cut off is not taken for a part."""
+def test_a_stopped_run_continues_with_the_next_part(tmp_path, monkeypatch):
+    """The rows are those of an uninterrupted run; a truncated file does not count as a part."""
     asked = Reproduction(get_preset("as-coded"), tuple(get_variants(["slower", "idle", "faster"])), 2, 3)
     whole = run(asked, tmp_path / "whole")
     drive, calls = running.drive_many, []
@@ -138,7 +138,7 @@ def test_training_again_gives_the_same_model(tmp_path):
         (["--road", "merge"], "go with the table shields"),
     ],
 )
-def test_a_wrong_name_lists_what_there_is(options, said, tmp_path):
+def test_an_unknown_name_lists_the_valid_ones(options, said, tmp_path):
     ended = CliRunner().invoke(app, ["reproduce", "highway", *options, "--out", str(tmp_path)])
     assert isinstance(ended.exception, ConfigError)
     assert said in str(ended.exception)
@@ -156,8 +156,8 @@ def test_a_model_that_drives_another_row_comes_with_it():
     assert [each.name for each in get_variants(road="roundabout")] == list(VARIANTS)
 
 
-def test_what_cannot_be_had_says_why():
-    """The planner's model knows decisions of a second; the text's take a tenth."""
+def test_an_unavailable_variant_states_the_reason():
+    """The planner's model has steps of one second; the decisions of the text take a tenth."""
     assert "1 Hz" in why_not(PRESETS["as-written"], VARIANTS["cem"])
     assert why_not(PRESETS["as-coded"], VARIANTS["trained-inside"]) == ""
 
@@ -183,7 +183,7 @@ def test_the_roundabout_is_compiled_and_has_seeds_of_its_own(tmp_path):
         ("trained-inside-masks", ""),
     ],
 )
-def test_what_the_roundabout_leaves_out_says_why(name, reason):
+def test_a_variant_left_out_on_the_roundabout_states_the_reason(name, reason):
     found = why_not(get_preset("as-coded", "roundabout"), VARIANTS[name])
     assert (reason in found) if reason else not found
 
@@ -222,7 +222,7 @@ def test_a_claim_holds_where_the_episodes_say_so(rates, name, holds):
     assert found[name] is holds
 
 
-def test_the_table_shows_each_training_seed_and_what_was_published():
+def test_the_table_shows_each_training_seed_and_the_published_value():
     found = summary(episodes({"slower": 0.05, "noise": 0.25}))
     assert found["crash_rates"].tolist() == [[0.05], [0.25, 0.25]]
     text = table(found)
@@ -231,8 +231,8 @@ def test_the_table_shows_each_training_seed_and_what_was_published():
     assert f"{published.mean} ± {published.deviation}" in text
 
 
-def test_shields_side_by_side_drive_the_same_seeds_and_go_on(tmp_path, monkeypatch):
-    """Their rows are in one store: what is finished is not driven again; what a road refuses is said and left out."""
+def test_compared_shields_drive_the_same_seeds_and_continue(tmp_path, monkeypatch):
+    """Their rows are in one store: finished ones are not driven again; a refusal of a road is reported and left out."""
     made = shields.variant_on
 
     def some(road, shield):
@@ -309,7 +309,7 @@ def test_rows_of_shields_of_an_earlier_version_or_of_another_experiment_are_refu
 
 
 @pytest.mark.parametrize(("option", "said"), [("--road", "merge, roundabout"), ("--shield", "worst-case, simulated")])
-def test_an_unknown_road_or_shield_lists_what_there_is(option, said, tmp_path):
+def test_an_unknown_road_or_shield_lists_the_valid_ones(option, said, tmp_path):
     ended = CliRunner().invoke(app, ["reproduce", "shields", option, "nothing", "--out", str(tmp_path)])
     assert isinstance(ended.exception, ConfigError)
     assert said in str(ended.exception)
@@ -351,8 +351,8 @@ def test_the_ranking_of_the_model_is_walked_down(tmp_path):
     assert set(actions) - {4}
 
 
-def test_the_folder_is_a_store_and_that_of_an_earlier_version_becomes_one(tmp_path, monkeypatch):
-    """Rows used to lie in episodes/ with a record beside each: they are taken over, and not driven again."""
+def test_a_folder_of_an_earlier_version_becomes_a_store(tmp_path, monkeypatch):
+    """Earlier versions kept rows in episodes/ with a record beside each: they are converted, and not driven again."""
     asked = Reproduction(get_preset("as-coded"), tuple(get_variants(["slower", "idle"])), 2, 3)
     whole = run(asked, tmp_path)
     made, rows = read_store(tmp_path)
@@ -373,8 +373,8 @@ def test_the_folder_is_a_store_and_that_of_an_earlier_version_becomes_one(tmp_pa
 
 
 @pytest.mark.parametrize("error", [ConfigError("not here"), SceneError("not here")])
-def test_what_a_road_refuses_while_it_is_driven_is_said(error, tmp_path, monkeypatch):
-    """The other rows are driven all the same."""
+def test_a_refusal_of_a_road_while_driving_is_reported(error, tmp_path, monkeypatch):
+    """The other rows are still driven."""
     drive = shields_table.run_paired
 
     def refusing(setting, policy, variants, seeds, **options):
@@ -389,7 +389,7 @@ def test_what_a_road_refuses_while_it_is_driven_is_said(error, tmp_path, monkeyp
 
 
 def test_no_two_rows_have_the_same_name():
-    """They are in one store, which tells them apart by setting, policy and what stands between the two."""
+    """They share one store, which identifies them by setting, policy and the variant."""
     parts, _ = shields_table._parts(shields.ROADS.values(), shields.SHIELDS, 1)
     names = [(each.setting.name, each.policy, each.variant.place, each.variant.mode) for each in parts]
     assert len(names) > 50

@@ -65,8 +65,8 @@ def test_every_stock_environment_is_driven_on_a_grid(name):
         env.close()
 
 
-def test_shields_read_a_grid_where_they_read_throttle_and_steering_by_themselves():
-    """On networks of roads throttle and steering are compared without the shield unless it is asked for."""
+def test_shields_support_a_grid_where_they_support_throttle_and_steering():
+    """On road networks throttle and steering are compared without the shield unless requested."""
     read = {name: get_setting(f"{name}+5x9").road for name in ("highway-fast", "racetrack", "parking", "merge", "exit")}
     assert read == {"highway-fast": True, "racetrack": True, "parking": True, "merge": False, "exit": False}
     assert setting_of("highway_env:highway-v0+5x9").road
@@ -108,7 +108,7 @@ def test_sizes_that_make_no_sense_are_refused_by_name(grid):
 
 
 def test_the_shield_drives_on_a_grid_without_a_crash():
-    """Full throttle runs into whoever is ahead; behind the shield nobody crashes."""
+    """Full throttle runs into vehicles ahead; behind the shield it does not crash."""
     setting = get_setting("highway-fast").override({"vehicles_count": 20, "duration": 15}).with_action_grid("5x9")
     bare, shielded = make_variants(["none", "full"], ["env"])
     crashes = [run_episode(setting, "throttle", bare, seed).crashed for seed in range(4)]
@@ -119,7 +119,7 @@ def test_the_shield_drives_on_a_grid_without_a_crash():
 
 
 @pytest.mark.parametrize("shield", ["none", "default"])
-def test_one_trains_and_evaluates_on_a_grid(tmp_path, shield):
+def test_training_and_evaluation_support_a_grid(tmp_path, shield):
     file, model = tmp_path / "few.toml", tmp_path / "x.zip"
     file.write_text("vehicles_count = 3\nduration = 3\n")
     where = ["--env-id", "highway-fast-v0+3x5", "--env-config", str(file)]
@@ -136,7 +136,7 @@ def test_one_trains_and_evaluates_on_a_grid(tmp_path, shield):
 
 
 def test_the_article_s_environment_runs_with_its_configuration_as_printed():
-    """Dong et al. 2023: what `import evaluation` registers, its keys, and 5 by 9 actions."""
+    """Dong et al. 2023: the registration by `import evaluation`, its keys, and 5 by 9 actions."""
     import gymnasium as gym
 
     import evaluation  # noqa: F401

@@ -1,4 +1,4 @@
-"""Episodes side by side are those that are driven one after another."""
+"""Episodes of a batch equal those driven one after another."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from evaluation.settings import Setting, get_setting
 from shield import ConfigError, ShieldConfig
 from shield.config import Buffer
 
-# A shield that keeps nobody from anything: there are crashes then.
+# A shield that refuses nothing, so that crashes occur.
 CARELESS = ShieldConfig(
     buffer=Buffer(0.0, 0.0),
     assumptions=Assumptions(
@@ -42,8 +42,8 @@ DENSE = Setting("dense", "highway-fast-v0", {"vehicles_density": 2.5, "duration"
         (DENSE, "weaving", CARELESS, True),
     ],
 )
-def test_side_by_side_is_one_after_another(setting, policy, config, crashes):
-    """Each column that is measured there, and NaN in each that is not."""
+def test_episodes_of_a_batch_are_those_of_single_runs(setting, policy, config, crashes):
+    """Each measured column is equal, and each other column is NaN."""
     seeds = range(300, 312)
     alone = run_paired(setting, policy, [Variant("env", config)], seeds, simulator="compiled")
     alone = alone[list(certifying.COLUMNS)].assign(fallbacks=alone[certifying.FALLBACKS].sum(axis=1))
@@ -87,12 +87,12 @@ def test_random_actions_are_known_when_the_episode_begins():
 
 
 @pytest.mark.parametrize("policy", ["lookahead", "mpc", "nobody"])
-def test_who_reads_more_is_refused(policy):
+def test_a_policy_that_reads_the_simulator_is_refused_in_a_batch(policy):
     with pytest.raises(ConfigError, match="side by side"):
         Many(get_setting("highway-fast"), policy, ShieldConfig())
 
 
-def test_certify_takes_it_where_it_serves(tmp_path, monkeypatch):
+def test_certify_uses_the_batch_where_it_is_supported(tmp_path, monkeypatch):
     asked = Asked(get_setting("highway-fast"), "faster", 6, 40, ShieldConfig(), "auto")
     driven = []
     monkeypatch.setattr(certifying, "run_paired", lambda *a, **k: driven.append(a) or pytest.fail("one at a time"))

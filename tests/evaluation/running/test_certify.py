@@ -1,4 +1,4 @@
-"""Very many episodes are kept in parts, go on where they stopped, and give an exact bound."""
+"""Very many episodes are stored in parts, continued after a stop, and give an exact bound."""
 
 import json
 import re
@@ -40,7 +40,7 @@ def asked(episodes=7, **changes):
     )
 
 
-def test_a_run_goes_on_where_it_stopped_and_drives_nothing_twice(tmp_path):
+def test_a_stopped_run_is_continued_without_repeated_episodes(tmp_path):
     def stop(part):
         raise KeyboardInterrupt
 
@@ -58,7 +58,7 @@ def test_a_run_goes_on_where_it_stopped_and_drives_nothing_twice(tmp_path):
     assert longer["seed"].tolist() == list(range(50, 59))
 
 
-def test_an_episode_is_the_one_of_highway_env(tmp_path):
+def test_an_episode_of_certify_is_that_of_highway_env(tmp_path):
     found = certify(asked(3), tmp_path)
     assert set(found["simulator"]) == {"compiled"}
     record = run_episode(SHORT, "faster", Variant("env"), 51, simulator="highway-env")
@@ -68,8 +68,8 @@ def test_an_episode_is_the_one_of_highway_env(tmp_path):
     assert row["min_margin"] == record.min_margin
 
 
-def test_the_summary_leaves_out_what_is_not_measured(tmp_path):
-    """It asked for latencies and reasons, which rows that are driven side by side have not."""
+def test_the_summary_leaves_out_unmeasured_columns(tmp_path):
+    """Once it read latencies and reasons, which rows of a batch do not have."""
     certify(asked(3, policy="random"), tmp_path)
     rows = Result.read(tmp_path).summary.iloc[0]
     known = summarise(run_paired(SHORT, "random", [Variant("env")], range(50, 53))).iloc[0]
@@ -108,7 +108,7 @@ def test_a_folder_of_another_run_is_refused(tmp_path):
         certify(asked(1), "/proc/nowhere")
 
 
-def test_the_page_names_what_was_found(tmp_path):
+def test_the_page_names_crashes_and_violations(tmp_path):
     found = certify(asked(5), tmp_path)
     text = page(found)
     assert "5 (15 decisions, 75 frames), seeds 50 to 54, simulated by compiled" in text
@@ -125,7 +125,7 @@ def test_the_page_names_what_was_found(tmp_path):
 
 
 @pytest.mark.parametrize(("count", "n"), [(0, 10), (0, 10**6), (3, 50), (50, 50)])
-def test_the_bound_is_the_exact_one(count, n):
+def test_the_bound_is_the_exact_clopper_pearson_bound(count, n):
     bound = clopper_pearson(count, n)
     if count:
         exact = stats.binomtest(count, n).proportion_ci(0.95, method="exact")
@@ -154,7 +154,7 @@ def test_the_command_writes_the_table_and_the_page_and_replays(tmp_path):
     assert isinstance(run.invoke(app, ["replay", "60", "--seed", "60"]).exception, ConfigError)
 
 
-def test_mistakes_are_one_line(tmp_path, monkeypatch, capsys):
+def test_an_error_of_certify_is_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["shield", "certify", str(tmp_path), "--policy", "mpc", "--simulator", "compiled"])
     with pytest.raises(SystemExit):
         main()
@@ -181,8 +181,8 @@ def test_steering_behind_simulated_traffic_is_certified_at_every_frame(tmp_path)
     assert not pd.read_parquet(tmp_path / "episodes.parquet")["crashed"].any()
 
 
-def test_the_folder_is_a_store_and_that_of_an_earlier_version_becomes_one(tmp_path):
-    """Parts used to lie beside asked.json: they are taken over, and not driven again."""
+def test_a_folder_of_an_earlier_version_becomes_a_store(tmp_path):
+    """Earlier versions kept parts beside asked.json: they are converted, and not driven again."""
     driven = []
     whole = certify(asked(), tmp_path)
     made, rows = read_store(tmp_path)

@@ -1,4 +1,4 @@
-"""The columns that an episode has of its decisions, and what a row of a decision says."""
+"""The columns of an episode that summarise its decisions, and the columns of a decision."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_the_distance_of_meta_actions_is_that_of_their_targets(one, other):
 
 
 def test_the_distance_of_inputs_is_in_their_units():
-    """Full braking instead of full throttle is 10 m/s^2 and one whole range; what is no action has no distance."""
+    """Full braking instead of full throttle is 10 m/s² and one whole range; an invalid action has no distance."""
     env = gym.make("racetrack-v0", config={"action": {"type": "ContinuousAction"}})
     env.reset(seed=0)
     apart = distances(env, np.array([1.0, 0.0]), np.array([-1.0, 0.0]))
@@ -91,7 +91,7 @@ def test_latencies_and_overrides_of_an_episode_are_those_of_its_decisions():
 
 @pytest.mark.parametrize(("sensor", "there"), [("exact", False), ("normalised-0.5+confidence+intent", True)])
 def test_the_mean_confidence_is_that_of_the_rows_shown(sensor, there):
-    """Of the column "confidence", whatever channel comes after it; NaN without one."""
+    """The mean of the column "confidence", whatever channel follows it; NaN without that column."""
     driver = Driver(DriverSpec(get_setting("highway-fast"), "idle", Variant(), sensor=sensor))
     seen = []
     predict = driver.driver.predict

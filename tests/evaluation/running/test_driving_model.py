@@ -1,4 +1,4 @@
-"""Learned models of driving: collected, fitted, found by setting, and driven on; what does not fit is said."""
+"""Learned models of driving: collected, fitted, found by setting, and used for planning; a misfit is refused."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_a_small_fit_is_written_found_and_its_steps_are_of_the_right_durations(t
     assert trained[0].model.config.seed == 1
 
 
-def test_what_cannot_be_learned_or_found_is_said(tmp_path):
+def test_an_unavailable_model_is_refused_with_the_reason(tmp_path):
     env = get_setting("highway-fast").make()
     with pytest.raises(ConfigError, match=r"DiscreteMetaAction.*highway-fast-continuous"):
         next(train_driving("highway-fast"))
@@ -112,7 +112,7 @@ def test_mpc_drives_on_the_learned_model_and_is_reported_so():
     assert learned.return_ == pytest.approx(exact.return_, rel=0.2)
 
 
-def test_a_model_that_nobody_would_use_is_refused():
+def test_a_model_without_a_user_is_refused():
     with pytest.raises(ConfigError, match="none of the two drives"):
         run_paired(FAST, "idle", make_variants(["none"], ["env"]), [1], model="learned")
     short = get_setting(FAST).override({"duration": 1}, "short")
@@ -129,7 +129,7 @@ def test_a_model_that_nobody_would_use_is_refused():
         (["export", "nowhere.npz", "a-v0"], "no file"),
     ],
 )
-def test_the_command_says_what_is_wrong(words, message):
+def test_the_command_names_the_invalid_argument(words, message):
     result = CliRunner().invoke(app, ["dynamics", *words])
     assert message in str(result.exception)
 

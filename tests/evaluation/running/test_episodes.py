@@ -1,4 +1,4 @@
-"""Episodes are reproducible, paired, and the same whatever the number of jobs."""
+"""Episodes are reproducible, paired, and the same for any number of jobs."""
 
 import math
 
@@ -32,7 +32,7 @@ def test_every_variant_drives_every_seed(episodes):
     assert list(episodes["seed"]) == [*SEEDS] * 3
 
 
-def test_two_jobs_give_what_one_gives(episodes):
+def test_two_jobs_give_the_rows_of_a_single_job(episodes):
     variants = make_variants(["none", "rss", "full"], ["env"])
     again = run_paired(SHORT, "faster", variants, SEEDS, jobs=2)
     pd.testing.assert_frame_equal(_without_latencies(again), _without_latencies(episodes))
@@ -64,7 +64,7 @@ def test_latencies_are_kept_for_each_decision_of_the_shield(episodes):
         assert all(x >= 0 for x in row.latencies_ms)
 
 
-def test_without_a_shield_there_is_no_margin_and_no_override(episodes):
+def test_unshielded_rows_have_no_margin_and_no_override(episodes):
     bare = episodes[episodes["door"] == "none"]
     assert bare["min_margin"].isna().all()
     assert (bare["overridden"] == 0).all()
@@ -88,7 +88,7 @@ def test_throttle_and_steering_are_driven_with_and_without_a_shield(policy):
     assert [len(row) for row in shielded["latencies_ms"]] == list(shielded["steps"])
 
 
-def test_recording_does_not_depend_on_the_shield_being_there():
+def test_recording_does_not_depend_on_the_shield():
     alone = run_episode(WHEEL, "throttle", seed=4)
     watched = run_episode(WHEEL, "throttle", Variant("env", ShieldConfig(mode="none")), seed=4)
     for name in ("return_", "crashed", "off_road", "distance", "mean_jerk", "mean_lateral_acceleration", "attribution"):

@@ -10,12 +10,13 @@ from shield.config import ShieldConfig
 @pytest.mark.parametrize(
     "seed",
     [
-        # The only crash: it came a little earlier beside the one that slipped in than that one's speed had told.
+        # The only crash: the ego arrived earlier beside the vehicle that cut in than the speed of that vehicle
+        # suggested.
         63022052,
-        # It had not quite settled in its lane yet: so long it was not asked whether it might go on to the next one.
+        # The vehicle had not settled in its lane yet, and was not considered for a further lane change.
         63010836,
         63055590,
-        # The one that held it up had just come before it.
+        # The vehicle that blocked it had just entered the lane.
         63050333,
         63076334,
         # It had lost speed by then, or its leader had.
@@ -23,7 +24,7 @@ from shield.config import ShieldConfig
         63087395,
     ],
 )
-def test_one_that_slips_in_is_foreseen_in_time(seed: int) -> None:
+def test_a_cut_in_is_predicted_in_time(seed: int) -> None:
     record = run_episode("abz-idm", "dqn-abz-adversarial", variant_for(ShieldConfig()), seed, simulator="compiled")
     assert not record.crashed
     assert record.violations == 0
@@ -31,10 +32,10 @@ def test_one_that_slips_in_is_foreseen_in_time(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", [74011368, 74034550])
-def test_who_brakes_before_it_is_braked_for(seed: int) -> None:
-    """Two of 100,000, both ran into their leader. It brakes at 6 m/s^2, and then breaks a rule; whoever does is
-    expected to keep its speed. By that speed nothing was urgent, so that the ego sped up, or braked ever less, until
-    nothing helped. Of what is expected to stay clear as long it is now the worst case that chooses: it brakes."""
+def test_the_ego_brakes_for_a_leader_that_violates_the_braking_rule(seed: int) -> None:
+    """Two of 100,000 episodes ran into their leader. It brakes at 6 m/s² and then breaks a rule; a violator is
+    predicted to keep its speed. By that prediction nothing was urgent, and the ego sped up, or braked ever less.
+    Among inputs that stay clear equally long the worst case now decides: the ego brakes."""
     variant = variant_for(ShieldConfig())
     record = run_episode("abz-aggressive", "dqn-abz-adversarial", variant, seed, simulator="compiled")
     assert not record.crashed

@@ -1,4 +1,4 @@
-"""Rows that were made with something else are never mixed in: what determines a row is written down and compared."""
+"""Rows made with another configuration are never mixed in: every determining input is recorded and compared."""
 
 import json
 import re
@@ -31,7 +31,7 @@ SHORT = Setting("short", "highway-fast-v0", CONFIG)
 
 
 def save(path, seed, prefers=None):
-    """An untrained model; one that `prefers` an action proposes nothing else."""
+    """An untrained model; with `prefers` it proposes that action only."""
     model = PPO("MlpPolicy", gym.make("highway-fast-v0"), n_steps=8, batch_size=8, seed=seed, device="cpu")
     if prefers is not None:
         model.policy.action_net.bias.data[prefers] = 1e3
@@ -77,8 +77,8 @@ def add_statistics(folder):
     ],
 )
 @pytest.mark.parametrize("finished", [False, True])
-def test_rows_of_another_model_are_not_gone_on_with(change, told, finished, tmp_path, monkeypatch):
-    """The zip behind --policy, or its statistics, replaced between two runs: two policies under one name."""
+def test_rows_of_another_model_are_not_continued(change, told, finished, tmp_path, monkeypatch):
+    """The zip of --policy, or its statistics, is replaced between two runs: two policies with one name."""
     save(tmp_path / "model.zip", 0)
     if finished:
         assert evaluate(tmp_path).exit_code == 0
@@ -89,12 +89,12 @@ def test_rows_of_another_model_are_not_gone_on_with(change, told, finished, tmp_
     assert isinstance(result.exception, ConfigError)
     assert re.search(told, str(result.exception))
     assert "--force begins again, another --output keeps both" in str(result.exception)
-    # What the message offers works.
+    # The remedy in the message works.
     assert evaluate(tmp_path, "--output", str(tmp_path / "y.parquet")).exit_code == 0
     assert evaluate(tmp_path, "--force").exit_code == 0
 
 
-def test_rows_of_another_environment_or_shield_are_not_gone_on_with(tmp_path, monkeypatch):
+def test_rows_of_another_environment_or_shield_are_not_continued(tmp_path, monkeypatch):
     save(tmp_path / "model.zip", 0)
     stopped(tmp_path, monkeypatch)
     shield = tmp_path / "shield.toml"
@@ -120,7 +120,7 @@ def test_rows_of_another_environment_or_shield_are_not_gone_on_with(tmp_path, mo
     assert re.search(r"version of highway-env \(.*, now 1.10.1\)", str(result.exception))
 
 
-def test_a_run_that_is_the_same_goes_on(tmp_path, monkeypatch):
+def test_an_identical_run_is_continued(tmp_path, monkeypatch):
     save(tmp_path / "model.zip", 0)
     stopped(tmp_path, monkeypatch)
     assert evaluate(tmp_path, "--resume").exit_code == 0
@@ -130,7 +130,7 @@ def test_a_run_that_is_the_same_goes_on(tmp_path, monkeypatch):
 
 
 def test_the_source_of_a_users_environment_is_compared(tmp_path, monkeypatch):
-    """The class and what wraps it are the user's: the file that they stand in is hashed, with its package."""
+    """The class and its wrappers are the user's: their file is hashed, with its package."""
     module = tmp_path / "an_environment_of_mine.py"
     text = (
         "import gymnasium as gym\n"
@@ -155,7 +155,7 @@ def test_the_source_of_a_users_environment_is_compared(tmp_path, monkeypatch):
     sys.modules.pop("an_environment_of_mine")
 
 
-def test_what_determines_a_row_is_plain_and_the_same_again():
+def test_the_identity_of_a_row_is_plain_data_and_repeatable():
     for setting in (
         SHORT,
         Setting("at", "intersection-v0"),
@@ -170,7 +170,7 @@ def test_what_determines_a_row_is_plain_and_the_same_again():
     assert set(of_policy("ppo-highway-fast")) == {"file", "source"}
 
 
-def test_a_folder_of_parts_is_not_gone_on_with_by_another_model(tmp_path):
+def test_a_folder_of_parts_is_not_continued_with_another_model(tmp_path):
     model = tmp_path / "model.zip"
     save(model, 0)
     asked = Asked(SHORT, str(model), 2, 50, ShieldConfig())
@@ -215,7 +215,7 @@ def test_a_find_is_not_replayed_with_another_model(tmp_path):
     replay(Find.load(path))
 
 
-def test_two_models_of_one_name_are_not_one_row(tmp_path):
+def test_two_models_of_equal_name_are_refused(tmp_path):
     for k in (0, 1):
         (tmp_path / str(k)).mkdir()
         save(tmp_path / str(k) / "best_model.zip", k)
@@ -226,7 +226,7 @@ def test_two_models_of_one_name_are_not_one_row(tmp_path):
 
 
 def test_a_finished_output_is_extended(tmp_path):
-    """More episodes and more policies; what was driven is not driven again."""
+    """More episodes and more policies are added; finished ones are not driven again."""
     save(tmp_path / "model.zip", 0)
     for name in ("x.parquet", "x.csv"):
         output = ["--output", str(tmp_path / name)]

@@ -1,4 +1,4 @@
-"""Policies by name act as they say, and unknown names are refused with the list of known ones."""
+"""Policies by name act accordingly, and unknown names are refused with the list of valid ones."""
 
 import gymnasium as gym
 import numpy as np
@@ -53,7 +53,7 @@ def continuous(**action):
         ({"longitudinal": False}, None, [0.0]),
     ],
 )
-def test_constant_inputs_are_what_they_are_called(action, throttle, idle):
+def test_constant_input_policies_act_by_their_names(action, throttle, idle):
     env = continuous(**action)
     try:
         for name, expected in (("throttle", throttle), ("idle", idle)):
@@ -74,7 +74,7 @@ def test_constant_inputs_are_what_they_are_called(action, throttle, idle):
 
 
 @pytest.mark.parametrize("name", ["faster", "slower"])
-def test_meta_actions_are_refused_where_there_is_a_wheel(name):
+def test_meta_action_policies_are_refused_for_continuous_actions(name):
     env = continuous()
     try:
         with pytest.raises(ConfigError, match=r"takes ContinuousAction; have idle, throttle, random"):
@@ -83,7 +83,7 @@ def test_meta_actions_are_refused_where_there_is_a_wheel(name):
         env.close()
 
 
-def test_a_throttle_is_refused_where_there_are_meta_actions(env):
+def test_the_throttle_policy_is_refused_for_meta_actions(env):
     with pytest.raises(ConfigError, match=r"takes DiscreteMetaAction; have faster, idle, left, right, slower, random"):
         make_policy("throttle", env)
 

@@ -1,4 +1,4 @@
-"""Parking by name: the bundled models park, success is counted, and a crash or a fast arrival is told apart."""
+"""Parking by name: the bundled models park, success is counted, and crashes and fast arrivals are distinguished."""
 
 import math
 
@@ -26,7 +26,7 @@ def test_planners_park_and_the_record_says_so(policy):
     assert not record.off_road
 
 
-def test_records_repeat_themselves_whatever_came_before():
+def test_records_do_not_depend_on_earlier_episodes():
     seeds = [71, 72]
     together = run_paired("parking", "cem", [Variant()], seeds)
     alone = run_episode("parking", "cem", seed=72)

@@ -1,6 +1,6 @@
-"""Episodes spread over a Ray cluster: those of one process, whatever nodes and drivers are lost on the way.
+"""Episodes on a Ray cluster equal those of one process, with nodes and drivers lost on the way.
 
-`make ray` installs Ray, which is large, and runs this; what needs no cluster runs everywhere.
+`make ray` installs Ray, which is large, and runs this; the tests without a cluster run everywhere.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ class FakeRay:
 
 
 @pytest.mark.parametrize("cores", [1, 3])
-def test_no_more_calls_are_under_way_than_the_cores_begin_soon(monkeypatch, cores):
-    """Two for each core, whatever order they finish in; each gives what it gives once."""
+def test_pending_calls_are_limited_by_the_number_of_cores(monkeypatch, cores):
+    """Two for each core, in any order of completion; each result is returned once."""
     fake = FakeRay(cores)
     monkeypatch.setitem(sys.modules, "ray", fake)
     found = list(RayTasks().spread(lambda x: x * x, [(x,) for x in range(20)]))
@@ -70,7 +70,7 @@ def test_no_more_calls_are_under_way_than_the_cores_begin_soon(monkeypatch, core
     assert not fake.cancelled
 
 
-def test_what_is_under_way_is_cancelled_when_nobody_waits_for_it(monkeypatch):
+def test_pending_calls_are_cancelled_when_the_results_are_closed(monkeypatch):
     fake = FakeRay(2)
     monkeypatch.setitem(sys.modules, "ray", fake)
     results = RayTasks().spread(lambda x: x, [(x,) for x in range(20)])
@@ -79,7 +79,7 @@ def test_what_is_under_way_is_cancelled_when_nobody_waits_for_it(monkeypatch):
     assert len(fake.cancelled) == 3
 
 
-def test_without_ray_it_is_said_how_to_have_it(monkeypatch):
+def test_a_missing_ray_is_an_error_that_names_the_installation(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(ConfigError, match=r"needs the package ray: pip install 'ray>=2.40,<3'"):
         _ = RayTasks().workers
@@ -138,7 +138,7 @@ def test_a_node_that_is_lost_loses_and_doubles_nothing(cluster, tmp_path):
     same(found, asked(tmp_path / "one").run(progress=False).episodes)
 
 
-def test_what_is_raised_in_a_task_is_raised_here(cluster, tmp_path):
+def test_an_error_in_a_task_is_raised_in_the_driver(cluster, tmp_path):
     def fail(number):
         raise ConfigError(f"number {number} is not valid")
 

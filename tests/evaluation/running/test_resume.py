@@ -1,4 +1,4 @@
-"""Whatever stops a run, the episodes that were driven are kept, none is lost and none is doubled."""
+"""After any interruption of a run, finished episodes are kept, none lost and none doubled."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ def same(one, two):
 
 
 @pytest.mark.parametrize(("moments", "jobs"), [(2, 1), *later((10, 1), (10, 2))])
-def test_a_run_that_is_killed_at_some_moments_ends_as_if_it_had_not_been(moments, jobs, tmp_path):
-    """`kill -9`: what was kept after one kill is there after the next, each episode once, and the table is that of a
-    run that nobody stopped."""
+def test_a_run_killed_at_several_moments_ends_like_an_uninterrupted_one(moments, jobs, tmp_path):
+    """`kill -9`: the episodes kept after one kill remain after the next, each once, and the table is that of an
+    uninterrupted run."""
     # So many that the run is not over before the last moment, on a busy machine neither.
     whole, episodes = tmp_path / "whole", 10 * moments
     whole.mkdir()
@@ -77,11 +77,11 @@ def test_a_run_that_is_killed_at_some_moments_ends_as_if_it_had_not_been(moments
     assert found.attrs["made"]["asked"]["episodes"] == episodes
 
 
-def test_control_c_prints_what_there_is_and_keeps_it(tmp_path):
-    # So many that a busy machine is not through before it is interrupted.
+def test_control_c_prints_and_keeps_the_finished_episodes(tmp_path):
+    # Enough episodes that a busy machine does not finish before the interruption.
     asked = command(tmp_path)
     asked[asked.index("--episodes") + 1] = "400"
-    # What a shell starts in the background ignores the signal, and so would what it starts.
+    # A process that a shell starts in the background ignores the signal, and so would its children.
     heed = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
     run = subprocess.Popen(asked, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heed)
     while run.poll() is None and lines(tmp_path) < 4:
@@ -105,14 +105,14 @@ def drive(store, jobs=1):
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_what_is_stored_is_not_driven_again(tmp_path, jobs):
+def test_stored_episodes_are_not_driven_again(tmp_path, jobs):
     path = tmp_path / "x.parquet"
     store = Store(path, ASKED)
     frame = drive(store, jobs)
     kept = store.parts.folder / "open.jsonl"
     file = kept.read_bytes().splitlines(keepends=True)
     assert len(file) == 8
-    # The last line was cut off, and one is there twice.
+    # The last line is truncated, and one line is doubled.
     kept.write_bytes(b"".join([*file[:4], file[2], file[4][:20]]))
     again = Store(path, ASKED, resume=True)
     assert len(again.rows) == 4
@@ -171,13 +171,13 @@ def _wait_for(condition, seconds=300.0):
 
 
 def _below(pid):
-    """All that a process has started, and what that has started."""
+    """All child processes of a process, recursively."""
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     return [each for child in children for each in (int(child), *_below(int(child)))]
 
 
 def _ended(pid):
-    """Whether a process is done, though nobody has asked how."""
+    """Whether a process has ended, possibly as a zombie."""
     try:
         return "(zombie)" in Path(f"/proc/{pid}/status").read_text()
     except OSError:
@@ -192,8 +192,8 @@ def test_progress_is_said_where_the_output_is_no_terminal(tmp_path):
     assert re.search(rf"no shield: \d+ of {EPISODES} crashed, full at env: 0 of {EPISODES} crashed", done.stderr)
 
 
-def test_the_file_of_an_earlier_version_is_gone_on_with(tmp_path):
-    """Episodes used to be kept in one file, the manifest in its first line: none of them is driven again."""
+def test_the_file_of_an_earlier_version_is_continued(tmp_path):
+    """Earlier versions kept episodes in one file, with the manifest in its first line: none of them is driven again."""
     path = tmp_path / "x.parquet"
     store = Store(path, ASKED)
     frame = drive(store)

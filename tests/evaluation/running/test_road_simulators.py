@@ -37,7 +37,7 @@ def test_an_episode_off_the_road_has_the_same_record():
     assert one["off_road"]
 
 
-def test_what_supervises_frames_is_driven_in_highway_env():
+def test_a_shield_that_supervises_frames_is_driven_in_highway_env():
     setting, variant = get_setting("roundabout"), Variant(door="env", config=ShieldConfig.for_roads())
     assert environment(setting, "faster", variant, None, "auto")[0] == "highway-env"
     with pytest.raises(ConfigError, match="one by one"):

@@ -1,4 +1,4 @@
-"""Episodes are the same whatever simulates them, and the record says what did."""
+"""Episodes are the same in every simulator, and the record names the simulator."""
 
 import pandas as pd
 import pytest
@@ -26,7 +26,7 @@ def test_rows_are_the_same_in_both(policy):
 
 @pytest.mark.parametrize("order", ["sorted", "shuffled"])
 @pytest.mark.parametrize("sensor", ["exact", "metric-2-late"])
-def test_what_is_observed_at_each_frame_is_the_same_in_both(sensor, order):
+def test_observations_at_each_frame_are_the_same_in_both(sensor, order):
     kinematics = {"type": "Kinematics", "vehicles_count": 8, "see_behind": True, "order": order}
     setting = Setting("observed", "highway-fast-v0", {"duration": 10, "observation": kinematics})
     variant, tables = Variant("env", ShieldConfig(), "observation"), []
@@ -47,7 +47,7 @@ def test_what_is_observed_at_each_frame_is_the_same_in_both(sensor, order):
     ],
     ids=["door", "road", "policy"],
 )
-def test_what_it_does_not_serve_is_driven_in_highway_env(setting, policy, variant):
+def test_an_episode_that_is_not_compiled_is_driven_in_highway_env(setting, policy, variant):
     assert run_episode(setting, policy, variant, seed=1).simulator == "highway-env"
     with pytest.raises(ConfigError, match=r"compiled|follow from its state"):
         run_episode(setting, policy, variant, seed=1, simulator="compiled")

@@ -1,4 +1,4 @@
-"""A row for each decision: the same whatever spreads the episodes, and complete after a run that went on."""
+"""A row for each decision: the same for any distribution of the episodes, and complete after a continued run."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def same(one, two):
 
 
 def test_the_rows_of_decisions_add_up_to_those_of_episodes(tmp_path):
-    """Decisions, returns, overrides, distances and the last speed; two processes write what one does."""
+    """Decisions, returns, overrides, distances and the last speed; two processes write the same as one."""
     result = asked(tmp_path).run(progress=False)
     steps = pd.read_parquet(tmp_path / "steps.parquet")
     assert "decisions" not in result.episodes
@@ -50,7 +50,7 @@ def test_the_rows_of_decisions_add_up_to_those_of_episodes(tmp_path):
 
 
 def test_the_decisions_of_shards_are_those_of_the_whole(tmp_path):
-    """They were left as they were. What does not fit is refused, and nothing is written."""
+    """The shards are unchanged. Shards that do not fit are refused, and nothing is written."""
     asked(tmp_path, shield="none").run(progress=False)
     for i in (1, 2):
         where = {"output": tmp_path / f"part-{i}.parquet", "steps": tmp_path / f"steps-{i}.parquet"}
@@ -73,8 +73,8 @@ def test_the_decisions_of_shards_are_those_of_the_whole(tmp_path):
     same(pd.read_parquet(out), pd.read_parquet(tmp_path / "steps.parquet"))
 
 
-def test_a_run_that_goes_on_has_all_decisions(tmp_path):
-    """Of the episodes that were there already too; and it says where they are not to be had."""
+def test_a_continued_run_has_all_decisions(tmp_path):
+    """Also those of earlier episodes; an error says where they are missing."""
     whole = asked(tmp_path / "whole", episodes=4).run(progress=False)
     asked(tmp_path).run(progress=False)
     result = asked(tmp_path, episodes=4, resume=True).run(progress=False)
@@ -89,7 +89,7 @@ def test_a_run_that_goes_on_has_all_decisions(tmp_path):
         asked(tmp_path, episodes=5, resume=True).run(progress=False)
 
 
-def test_the_command_refuses_a_file_that_is_there(tmp_path):
+def test_the_command_refuses_an_existing_file(tmp_path):
     run, file = CliRunner(), tmp_path / "steps.parquet"
     words = ["evaluate", "--policy", "idle", "--shield", "none", "--episodes", "1", "--jobs", "1", "--steps", str(file)]
     assert run.invoke(app, words).exit_code == 0

@@ -1,4 +1,4 @@
-"""A model that was made for other actions or observations is refused with a PolicyError, wherever it is handed in."""
+"""A model for other actions or observations is refused with a PolicyError, at every entry point."""
 
 import sys
 

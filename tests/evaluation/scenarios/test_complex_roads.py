@@ -1,4 +1,4 @@
-"""ComplexRoads-v0: what it observes, pays and ends with; the traffic stays on its roads, and a scripted ego arrives."""
+"""ComplexRoads-v0: observations, rewards and ends; the traffic stays on its roads, and a scripted ego arrives."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def make(seed: int = 0, **config: Any) -> Any:
 # -- the environment -------------------------------------------------------------------------------------
 
 
-def test_it_is_registered_and_passes_the_checks_of_gymnasium_and_sb3() -> None:
+def test_the_environment_is_registered_and_passes_the_checks_of_gymnasium_and_sb3() -> None:
     env = gym.make("evaluation.scenarios:ComplexRoads-v0", config={"vehicle_density": 3}, render_mode="rgb_array")
     assert env.action_space.n == 45
     check_env(env.unwrapped)
@@ -104,12 +104,12 @@ def test_a_grid_of_no_two_numbers_is_refused(counts: Any) -> None:
         ({"other_vehicles_type": "highway_env.vehicle.kinematics.Vehicle"}, "IDMVehicle"),
     ],
 )
-def test_configurations_that_cannot_be_are_refused(config: dict[str, Any], told: str) -> None:
+def test_invalid_configurations_are_refused(config: dict[str, Any], told: str) -> None:
     with pytest.raises(ConfigError, match=told):
         ComplexRoadsEnv(config)
 
 
-def test_the_observation_ends_in_the_signed_numbers_unless_it_is_not_to() -> None:
+def test_the_observation_ends_in_the_signed_numbers_unless_switched_off() -> None:
     env, bare = make(4), make(4, use_signed_lane_obs=False)
     env.vehicle.position += [0.0, 0.75]
     env.vehicle.heading += 0.25
@@ -120,7 +120,7 @@ def test_the_observation_ends_in_the_signed_numbers_unless_it_is_not_to() -> Non
     assert np.array_equal(seen[:-2], plain.ravel())
 
 
-def test_there_are_as_many_others_as_asked_for_and_none_touch() -> None:
+def test_the_configured_number_of_vehicles_is_spawned_without_contact() -> None:
     env = make(2, vehicle_density=40)
     assert len(env.road.vehicles) == 41
     places = np.array([vehicle.position for vehicle in env.road.vehicles])
@@ -160,7 +160,7 @@ def test_the_reward_is_that_of_the_paper() -> None:
     assert offset.distance > 1.5
 
 
-def test_time_ends_an_episode_and_the_edge_of_the_road_only_when_asked() -> None:
+def test_the_time_limit_ends_an_episode_and_the_road_edge_only_if_configured() -> None:
     for ends in (False, True):
         env = make(vehicle_density=0, duration=0.4, offroad_terminal=ends)
         env.vehicle.position += [0.0, 30.0]
@@ -191,7 +191,7 @@ def test_traffic_drives_30_seconds_without_leaving_the_road(seed: int) -> None:
     assert np.median(list(way.values())) > 150.0
 
 
-def test_who_has_left_and_who_is_wrecked_enters_again_and_others_do_not() -> None:
+def test_vehicles_that_left_and_wrecks_enter_again_and_others_do_not() -> None:
     env = make(vehicle_density=3)
     left, wreck, going = env.road.vehicles[1:]
     end = env.course.exits["roundabout-2.front.out"]
@@ -234,7 +234,7 @@ def test_an_ego_that_keeps_to_its_route_arrives(spawn: str, lane: int, destinati
     assert env.vehicle.lane_index[1] == destination
 
 
-def test_one_arrives_at_no_other_exit() -> None:
+def test_another_exit_is_no_arrival() -> None:
     env = make(action=META, vehicle_density=0, destination="west.out")
     end = env.course.exits["roundabout-1.left.out"]
     begin_on(env.vehicle, (*end, 0), 40.0, end[1])
@@ -243,7 +243,7 @@ def test_one_arrives_at_no_other_exit() -> None:
     assert not info["success"]
 
 
-def test_the_command_line_drives_it(tmp_path: Path) -> None:
+def test_the_command_line_drives_the_environment(tmp_path: Path) -> None:
     config, output = tmp_path / "short.toml", tmp_path / "episodes.parquet"
     config.write_text("duration = 1\nvehicle_density = 1\n", encoding="utf-8")
     asked = ["--env-id", "evaluation.scenarios:ComplexRoads-v0", "--env-config", str(config), "--shield", "none"]
@@ -259,7 +259,7 @@ SIMULATED = {"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 5, 10
 
 
 def test_the_compiled_traffic_is_the_same():
-    """Frame by frame, bit for bit, who yields included."""
+    """Frame by frame, bit for bit, including yielding vehicles."""
     pair = Pair("ComplexRoads-v0", 1, {**SIMULATED, "random_start": True, "vehicle_density": 25})
     rng, yielded = np.random.default_rng(1), 0
     for k in range(14):
@@ -273,8 +273,8 @@ def test_the_compiled_traffic_is_the_same():
     assert yielded
 
 
-def test_the_shield_foretells_it():
-    """Behind verification by simulation nobody does anything else than was foretold, and nobody touches."""
+def test_the_shield_predicts_the_traffic():
+    """With simulated traffic no vehicle moves otherwise than predicted, and no contact occurs."""
     env = gym.make("evaluation.scenarios:ComplexRoads-v0", config={**SIMULATED, "duration": 12})
     observation, _ = env.reset(seed=3)
     shield, done = Shield(lambda obs: 3, env, ShieldConfig.simulated_traffic(), frames=False), False

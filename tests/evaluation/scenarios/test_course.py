@@ -1,4 +1,4 @@
-"""The course of ComplexRoads-v0: its roads, where they join, and who has the right of way."""
+"""The course of ComplexRoads-v0: its roads, their joints, and the right of way."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def successors(network: RoadNetwork) -> Iterator[tuple[AbstractLane, AbstractLan
 
 
 @given(COUNTS)
-def test_every_lane_goes_over_into_the_same_lane_of_every_road_that_follows(counts: dict[str, int]) -> None:
+def test_every_lane_continues_in_the_same_lane_of_each_following_road(counts: dict[str, int]) -> None:
     joints = 0
     for lane, following in successors(build_course(counts).network):
         joints += 1
@@ -67,7 +67,7 @@ def test_every_exit_is_reached_from_every_spawn(counts: dict[str, int]) -> None:
 
 
 @given(COUNTS)
-def test_there_are_as_many_pieces_as_were_asked_for(counts: dict[str, int]) -> None:
+def test_the_course_has_the_configured_number_of_pieces(counts: dict[str, int]) -> None:
     kinds = order_of(counts)
     assert {kind: kinds.count(kind) for kind in SUBMAPS} == counts
     assert [piece.name.rpartition("-")[0] for piece in build_course(counts).pieces] == list(kinds)
@@ -117,7 +117,7 @@ COURSE = build_course()
 
 @settings(max_examples=200)
 @given(PLACES)
-def test_the_nearest_lane_is_the_one_that_highway_env_finds(place: tuple[float, float, float | None]) -> None:
+def test_the_nearest_lane_is_that_of_highway_env(place: tuple[float, float, float | None]) -> None:
     position, heading = np.array(place[:2]), place[2]
     network = COURSE.network
     assert network.get_closest_lane_index(position, heading) == RoadNetwork.get_closest_lane_index(
@@ -166,7 +166,7 @@ SHARED = ComplexRoadsEnv({"vehicle_density": 0})
 SHARED.reset(seed=0)
 
 
-def test_who_follows_yields_whatever_the_priorities() -> None:
+def test_a_follower_yields_for_any_priorities() -> None:
     road = SHARED.road
     ((stop, end),) = [(a, b) for a, b in SHARED.course.exits.values() if b == "intersection-2.right.out"]
     inside = next(a for a in road.network.graph if stop in road.network.graph[a] and "back" in a)
@@ -176,7 +176,7 @@ def test_who_follows_yields_whatever_the_priorities() -> None:
     assert PriorityRoad.respect_priorities(behind, ahead) is behind
 
 
-def test_left_turns_yield_to_who_comes_straight_on_from_ahead() -> None:
+def test_left_turns_yield_to_oncoming_vehicles() -> None:
     graph = SHARED.road.network.graph
     turns = {end: lanes[0] for end, lanes in graph["intersection-1.back.stop"].items()}
     left, ahead = turns["intersection-1.left.begin"], turns["intersection-1.front.begin"]

@@ -44,19 +44,19 @@ def test_an_episode_of_the_setting_ends():
     assert not record.crashed
 
 
-def test_it_can_be_drawn():
+def test_the_setting_can_be_rendered():
     env = get_setting("lane-keeping").make(render_mode="rgb_array")
     env.reset(seed=0)
     assert np.asarray(env.render()).ndim == 3
     env.close()
 
 
-def test_bounds_on_others_are_refused_where_tyres_slip():
+def test_the_worst_case_is_refused_with_slipping_tyres():
     with pytest.raises(ConfigError, match="dynamical"):
         ShieldedEnv(gym.make("lane-keeping-v0"), "worst-case")
 
 
-def test_it_is_the_same_with_its_frames_compiled():
+def test_lane_keeping_with_compiled_frames_is_the_same():
     own, compiled = gym.make("lane-keeping-v0"), CompiledFrames(gym.make("lane-keeping-v0"))
     rng = np.random.default_rng(0)
     own.reset(seed=1)

@@ -1,4 +1,4 @@
-"""A training that is killed goes on from its checkpoint, and ends with the model of one that was never stopped."""
+"""A killed training continues from its checkpoint, and ends with the model of an uninterrupted one."""
 
 from __future__ import annotations
 
@@ -79,8 +79,8 @@ def test_a_resumed_training_ends_with_the_same_model_bit_for_bit(tmp_path, monke
     assert all(torch.equal(value, two[key]) for key, value in one.items())
 
 
-def test_a_process_killed_at_any_moment_leaves_a_checkpoint_to_go_on_from(tmp_path):
-    """kill -9 as soon as a checkpoint is there; the next run finishes, with the model of one that was not killed."""
+def test_a_process_killed_at_any_moment_leaves_a_usable_checkpoint(tmp_path):
+    """kill -9 as soon as a checkpoint exists; the next run finishes, with the model of an uninterrupted one."""
     output, folder = tmp_path / "killed.zip", tmp_path / "killed-checkpoints"
     command = [
         *(sys.executable, "-m", "evaluation.commands.cli", "train", "--setting", "highway-fast", "--steps", "1024"),
@@ -119,8 +119,8 @@ def test_checkpoints_of_another_training_are_refused_and_the_differences_named(t
         train(other, "ppo", 160, 3, output=tmp_path / "x", resume=True, checkpoint_every=50, **CASES["ppo"])
 
 
-def test_half_a_checkpoint_is_none(tmp_path):
-    """What a process leaves that is killed while it writes has another name."""
+def test_an_incomplete_checkpoint_is_ignored(tmp_path):
+    """A file that a process was killed while writing has another name."""
     whole = trained(tmp_path / "x", "ppo")
     folder = tmp_path / "x-checkpoints"
     (folder / ".partial-0000009999").mkdir()

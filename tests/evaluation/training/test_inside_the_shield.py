@@ -1,4 +1,4 @@
-"""Training inside the shield: what overrides cost, which action is learned from, masks, and features of lanes."""
+"""Training inside the shield: the override penalty, the learned action, masks, and features of lanes."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_a_penalty_without_a_shield_or_of_no_number_is_refused():
 
 
 class _Buffered(BaseCallback):
-    """Keeps what was proposed and executed; comes before `LearnFromExecuted`."""
+    """Stores proposals and executed actions; comes before `LearnFromExecuted`."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -154,7 +154,7 @@ def test_continuous_actions_have_no_executed_one_to_learn_from(tmp_path):
 
 
 @pytest.mark.parametrize("simulator", ["compiled", "highway-env"])
-def test_with_masks_only_actions_that_verify_are_proposed(tmp_path, simulator):
+def test_masks_restrict_proposals_to_actions_that_verify(tmp_path, simulator):
     trained = train(
         TINY,
         "ppo",
@@ -182,8 +182,8 @@ def test_with_masks_only_actions_that_verify_are_proposed(tmp_path, simulator):
     assert excluded > 0
 
 
-def test_a_penalty_in_training_changes_what_is_learned(tmp_path):
-    """Behind the same seed the first rollout is the same, and what is learned from it is not."""
+def test_a_penalty_in_training_changes_the_learned_weights(tmp_path):
+    """With the same seed the first rollout is the same, and the learned weights are not."""
     weights, overridden = [], []
     for penalty in (0.0, 0.5):
         trained = train(
@@ -227,7 +227,7 @@ def test_masks_in_either_simulator_teach_the_same(tmp_path):
         ({"shield": "default", "masks": True, "algorithm": "dqn"}, "masks are for ppo"),
     ],
 )
-def test_what_does_not_go_together_is_refused_before_anything_is_made(tmp_path, options, message):
+def test_incompatible_options_are_refused_before_any_file_is_written(tmp_path, options, message):
     algorithm = options.pop("algorithm", "ppo")
     with pytest.raises(ConfigError, match=message):
         train(TINY, algorithm, 8, 0, output=tmp_path / "x", progress=False, **options)
@@ -284,7 +284,7 @@ def test_lane_features_show_the_nearest_ahead_in_each_lane():
         LaneFeatures(gym.spaces.Box(-1.0, 1.0, (5, 7)))
 
 
-def test_a_class_in_the_hyperparameters_goes_by_its_dotted_name(tmp_path):
+def test_a_class_in_the_hyperparameters_is_given_by_its_dotted_name(tmp_path):
     named = {"features_extractor_class": "evaluation.learning.lane_features.LaneFeatures", "net_arch": [8]}
     hyperparameters = {**ROLLOUT, "policy_kwargs": named}
     trained = train(TINY, "ppo", 32, 0, output=tmp_path / "x", hyperparameters=hyperparameters, progress=False)

@@ -19,14 +19,14 @@ from shield.errors import ConfigError
 ROLLOUT = ["--set", "n_steps=16", "--set", "batch_size=16", "--set", "n_epochs=1"]
 
 
-def test_every_field_is_an_option_of_the_command_and_says_what_it_is():
+def test_every_field_is_a_documented_option_of_the_command():
     command = typer.main.get_command(app).commands["train"]
     asked = {each.name for each in command.params} - {"recipe", "options", "set_", "help"}
     assert asked == {each.name for each in fields(TrainingOptions)} == set(_HELP)
 
 
-def test_options_come_from_a_file_and_the_command_goes_over_it(tmp_path):
-    """A file with a key for each of some fields gives the options of the same flags; flags win."""
+def test_options_come_from_a_file_and_flags_override_it(tmp_path):
+    """A file with some fields gives the options of the same flags; flags take precedence."""
     file = tmp_path / "options.toml"
     file.write_text(
         'setting = "highway-fast"\nsteps = 32\nenvs = 2\nseed = 5\nshield = "default"\noverride_penalty = 0.25\n'
@@ -61,13 +61,13 @@ def test_an_environment_of_the_users_is_trained_in_by_its_id(tmp_path):
         (["--recipe", "ppo-merge", "--masks"], "give --setting with --masks"),
     ],
 )
-def test_what_cannot_be_is_refused_in_words(tmp_path, args, message):
+def test_invalid_options_are_refused_with_a_message(tmp_path, args, message):
     done = CliRunner().invoke(app, ["train", *args, *([] if "--recipe" in args else ["--output", str(tmp_path / "x")])])
     assert isinstance(done.exception, ConfigError)
     assert message in str(done.exception)
 
 
-def test_an_unknown_key_is_answered_with_those_there_are(tmp_path):
+def test_an_unknown_key_is_answered_with_the_valid_ones(tmp_path):
     file = tmp_path / "options.toml"
     file.write_text('setting = "highway-fast"\npenalty = 1\n')
     with pytest.raises(ConfigError, match="override_penalty"):
@@ -76,6 +76,6 @@ def test_an_unknown_key_is_answered_with_those_there_are(tmp_path):
         train("highway-fast", "ppo", 8, 0, output=tmp_path / "x", penalty=1)
 
 
-def test_where_a_policy_goes_without_an_output():
+def test_the_default_output_is_named_after_the_policy():
     options = TrainingOptions(setting="highway-fast", shield="default", masks=True)
     assert options.path == Path("runs/policies/maskableppo-highway-fast.zip")

@@ -1,4 +1,4 @@
-"""Evaluation while a policy learns: what is measured, which model is kept, and that training is not touched by it."""
+"""Evaluation during training: its measurements, the kept model, and its independence of the training."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def test_training_learns_the_same_with_evaluation_as_without(tmp_path, shield):
     assert all(torch.equal(value, weights[1][key]) for key, value in weights[0].items())
 
 
-def test_what_is_measured_is_what_the_saved_model_does_in_the_same_episodes(tmp_path):
-    """The last row, of a model with normalised observations, is what `run_paired` gives of the file that is saved."""
+def test_the_evaluation_equals_the_episodes_of_the_saved_model(tmp_path):
+    """The last row, of a model with normalised observations, equals `run_paired` with the saved file."""
     trained = train(
         TINY, "ppo", 256, 3, output=tmp_path / "x", envs=2, hyperparameters=ROLLOUT, progress=False,
         normalise=("observations", "rewards"), **EVALUATED,
@@ -75,7 +75,7 @@ def test_the_score_takes_the_penalty_off_the_return_and_the_return_does_not(tmp_
     assert row["return"] > 0.6 * row["length"]
 
 
-def test_masks_are_asked_for_in_evaluation_too(tmp_path, monkeypatch):
+def test_masks_are_used_in_evaluation(tmp_path, monkeypatch):
     asked = []
     drive = PeriodicEvaluation.evaluate
 

@@ -1,4 +1,4 @@
-"""Training writes what it says, and the reference policies load and act."""
+"""Training writes its files, and the reference policies load and act."""
 
 import json
 import shlex
@@ -123,7 +123,7 @@ def test_fast_observations_train_the_same_policy(tmp_path):
         torch.testing.assert_close(value, weights[1][key], atol=1e-4, rtol=1e-3)
 
 
-def test_exploration_starts_where_it_is_told(tmp_path):
+def test_exploration_starts_at_the_configured_deviation(tmp_path):
     hyperparameters = {**ROLLOUT, "learning_rate": 0.0}
     trained = train(
         CONTINUOUS, "ppo", 32, 0, output=tmp_path / "x", hyperparameters=hyperparameters, progress=False, **NORMALISED
@@ -134,7 +134,7 @@ def test_exploration_starts_where_it_is_told(tmp_path):
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 2**31), st.floats(0.01, 100), st.floats(-20, 20))
-def test_a_folded_policy_does_with_raw_observations_what_it_did_with_normalised_ones(seed, spread, middle):
+def test_a_folded_policy_acts_on_raw_observations_as_on_normalised_ones(seed, spread, middle):
     random = np.random.default_rng(seed)
 
     class Scattered(gym.Env):
@@ -162,7 +162,7 @@ def test_a_folded_policy_does_with_raw_observations_what_it_did_with_normalised_
     torch.testing.assert_close(model.policy.predict_values(torch.as_tensor(raw).float()), value, atol=5e-3, rtol=1e-2)
 
 
-def test_only_what_was_normalised_can_be_folded(tmp_path):
+def test_a_policy_without_normalisation_cannot_be_folded(tmp_path):
     env = TINY.make()
     try:
         with pytest.raises(ConfigError, match="nothing to fold"):
@@ -190,7 +190,7 @@ def test_only_what_was_normalised_can_be_folded(tmp_path):
         ({"seed": -1}, "training seeds"),
     ],
 )
-def test_what_cannot_be_trained_is_refused_before_anything_is_written(tmp_path, arguments, message):
+def test_invalid_training_is_refused_before_any_file_is_written(tmp_path, arguments, message):
     valid = {"setting": TINY, "algorithm": "dqn", "steps": 10, "seed": 0}
     with pytest.raises(ConfigError, match=message):
         train(**{**valid, **arguments}, output=tmp_path / "policy", progress=False)
@@ -226,7 +226,7 @@ def test_inside_the_shield_either_simulator_gives_the_same_model(tmp_path, shiel
         (Setting("merge", "merge-v0", {"duration": 4}), "simulated", "merge-v0"),
     ],
 )
-def test_what_is_not_compiled_inside_the_shield_is_trained_in_highway_env(tmp_path, setting, sensor, message):
+def test_a_shielded_setting_that_is_not_compiled_is_trained_in_highway_env(tmp_path, setting, sensor, message):
     options = {"hyperparameters": {**SMALL_NET, "n_steps": 8, "batch_size": 8}, "shield": "default", "progress": False}
     trained = train(setting, "ppo", 8, 1, output=tmp_path / "policy", sensor=sensor, **options)
     assert trained.manifest["simulator"] == "highway-env"
@@ -234,7 +234,7 @@ def test_what_is_not_compiled_inside_the_shield_is_trained_in_highway_env(tmp_pa
         train(setting, "ppo", 8, 1, output=tmp_path / "policy", sensor=sensor, simulator="compiled", **options)
 
 
-def test_one_trains_inside_a_profile_that_there_is(tmp_path):
+def test_an_unknown_shield_profile_is_refused_in_training(tmp_path):
     options = {"hyperparameters": {**SMALL_NET, "n_steps": 16, "batch_size": 16}, "progress": False}
     with pytest.raises(ConfigError, match="'default', 'meta-actions', 'roads', 'exact'"):
         train(TINY, "ppo", 16, 1, output=tmp_path / "policy", shield="paper", **options)
@@ -371,13 +371,13 @@ def test_hyperparameters_come_from_a_file_and_single_settings(tmp_path):
         (["--recipe", "ppo-merge", "--envs", "2"], "a recipe has its own"),
     ],
 )
-def test_hyperparameters_that_are_none_are_refused(tmp_path, args, message):
+def test_unknown_hyperparameters_are_refused(tmp_path, args, message):
     setting = [] if "--recipe" in args else ["--setting", "highway-fast"]
     done = CliRunner().invoke(app, ["train", *setting, "--steps", "8", "--output", str(tmp_path / "x.zip"), *args])
     assert message in str(done.exception)
 
 
-def test_steps_that_a_rollout_adds_are_told(tmp_path, caplog):
+def test_steps_added_by_a_rollout_are_warned_of(tmp_path, caplog):
     """An algorithm on policy finishes its rollout: 40 steps of rollouts of 32 are 64."""
     options = {"hyperparameters": {**ROLLOUT}, "progress": False}
     train(TINY, "ppo", 64, 0, output=tmp_path / "whole", **options)

@@ -1,4 +1,4 @@
-"""Columns that are added to observations: what they say, that they compose, and that a shield looks below them."""
+"""Columns added to observations: their values, their composition, and a shield that ignores them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def highway(observation=SEEN):
 
 
 @pytest.mark.parametrize("name", ["exact+intent", ALL, "metric-2-late+tracked-confidence+intent", "ghosts+confidence"])
-def test_what_is_seen_through_a_sensor_with_channels_is_an_environment_to_learn_in(name):
+def test_a_sensor_with_channels_is_a_valid_environment(name):
     env = seen_through(highway(), name)
     check_env(env)
     assert env.observation_space.shape == (15, 5 + name.count("+"))
@@ -54,7 +54,7 @@ def test_channels_are_added_and_nothing_is_changed():
         assert not added[empty].any()
 
 
-def test_several_at_once():
+def test_several_channels_compose():
     world = DummyVecEnv([lambda: seen_through(highway(), ALL)] * 2)
     world.seed(0)
     first = world.reset()
@@ -66,7 +66,7 @@ def test_several_at_once():
 # -- confidence ------------------------------------------------------------------------------------------------
 
 
-def test_confidence_is_the_exponential_of_minus_the_variance_of_what_was_shown_in_the_row():
+def test_confidence_is_the_exponential_of_minus_the_variance_of_the_row():
     env = Confidence(seen_through(highway(), "normalised-0.2"), window=3)
     shown, past = env.reset(seed=0)[0], deque(maxlen=3)
     for _ in range(6):
@@ -88,8 +88,8 @@ def test_the_same_instant_counts_once():
         assert set(env.observation(sense(env))[:, 5].tolist()) <= {0.0, 1.0}
 
 
-def test_tracked_confidence_happens_as_often_as_it_says():
-    """Reliability, in bins: who is said to be within a metre with some probability is."""
+def test_tracked_confidence_is_calibrated():
+    """Reliability, in bins: a vehicle is within a metre as often as its probability says."""
     said, was = [], []
     env = TrackedConfidence(
         SensorNoise(highway(), SensorModel({"x": 1.5, "y": 0.5, "vx": 1.0, "vy": 0.5}, dropout=0.2)), 1.0
@@ -219,10 +219,10 @@ def test_a_specification_may_name_the_channels():
     assert spec.shape == (5, 7)
 
 
-# -- what is refused -------------------------------------------------------------------------------------------
+# -- refusals -------------------------------------------------------------------------------------------------
 
 
-def test_the_command_line_names_the_channels_that_there_are():
+def test_the_command_line_names_every_channel():
     assert tuple(CHANNELS) == CHANNEL_NAMES
 
 
@@ -239,12 +239,12 @@ def test_the_command_line_names_the_channels_that_there_are():
         (lambda: TrackedConfidence(highway({**SEEN, "order": "shuffled"})), "sorted"),
     ],
 )
-def test_what_cannot_be_added_is_refused(make, match):
+def test_invalid_channels_are_refused(make, match):
     with pytest.raises(ConfigError, match=match):
         make()
 
 
-def test_sensors_by_name_are_what_is_wrapped():
+def test_a_sensor_by_name_has_the_named_wrappers():
     env = seen_through(highway(), "metric-2+intent")
     assert isinstance(env, Intent)
     assert isinstance(env.env, SensorNoise)

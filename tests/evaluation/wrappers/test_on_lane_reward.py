@@ -1,4 +1,4 @@
-"""The rewards that wrappers pay around highway-env."""
+"""Reward wrappers around highway-env."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ def test_exponents_and_scales_are_options(offset: LaneOffset, speed: float, powe
         ({"crush": 1.0}, "have crash, speed_scale"),
     ],
 )
-def test_options_of_the_reward_that_cannot_be_are_refused(options: Any, told: str) -> None:
+def test_invalid_options_of_the_reward_are_refused(options: Any, told: str) -> None:
     with pytest.raises(ConfigError, match=told):
         OnLane.of(options)
 
 
-def test_the_wrapper_rewards_what_the_ego_does() -> None:
+def test_the_wrapper_rewards_speed_and_crashes_of_the_ego() -> None:
     env = OnLaneReward(highway(), OnLane(crash=-3.0))
     env.reset(seed=0)
     ego = env.unwrapped.vehicle
@@ -65,7 +65,7 @@ def test_the_wrapper_rewards_what_the_ego_does() -> None:
     assert env.step(np.zeros(2))[1] == -3.0
 
 
-def test_hanois_terms_are_what_they_say() -> None:
+def test_hanois_terms_have_their_documented_values() -> None:
     env = HanoiWorldReward(highway(vehicles_count=1), HanoiWeights(1.0, 10.0, 100.0, 1000.0, 10_000.0))
     env.reset(seed=0)
     ego, (other,) = env.unwrapped.vehicle, env.unwrapped.road.vehicles[1:]
@@ -97,6 +97,6 @@ def test_hanois_terms_are_what_they_say() -> None:
 @pytest.mark.parametrize(
     "weights", [{"time_gap": -1.0}, {"standstill": -0.1}, {"heading": float("inf")}, {"survival": "yes"}]
 )
-def test_weights_that_cannot_be_are_refused(weights: dict[str, Any]) -> None:
+def test_invalid_weights_are_refused(weights: dict[str, Any]) -> None:
     with pytest.raises(ConfigError, match=next(iter(weights))):
         HanoiWeights(**weights)

@@ -1,4 +1,4 @@
-"""The log of how the ego drives, and the jerk that it tells."""
+"""The log of the ego's driving, and its jerk."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_a_crash_counts_once() -> None:
     assert env.episodes()["total_collisions"].tolist() == [1.0]
 
 
-def test_what_is_written_is_read_again(tmp_path: Path) -> None:
+def test_written_logs_are_read_back(tmp_path: Path) -> None:
     env = drive([3, 4])
     for write, read in ((env.to_csv, pd.read_csv), (env.to_parquet, pd.read_parquet)):
         ending = "csv" if read is pd.read_csv else "parquet"

@@ -1,4 +1,4 @@
-"""Tails, bias, range, ghosts and a change of noise: each is what it says, and nothing else."""
+"""Tails, bias, range, ghosts and a change of noise each have their documented effect, and no other."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def make(model, observation=SEEN, **config):
 
 
 def errors(model, times=300, seed=0, steps=None):
-    """What the sensor adds at one instant, in m and m/s, (times, rows that are there, 5)."""
+    """The error that the sensor adds at one instant, in m and m/s, (times, present rows, 5)."""
     env = make(model)
     env.reset(seed=seed)
     exact = env.unwrapped.observation_type.observe()
@@ -60,7 +60,7 @@ def metres(env, shown):
     seed=st.integers(0, 50),
 )
 @settings(max_examples=15, deadline=None)
-def test_a_sensor_with_nothing_wrong_shows_what_is_there(tails, change, ego, normalised, name, seed):
+def test_a_sensor_without_errors_shows_the_exact_observation(tails, change, ego, normalised, name, seed):
     model = SensorModel({name: 0.0}, normalised, ego=ego, tails=tails, bias={name: 0.0}, range=1e3, change=change)
     env = make(model)
     shown, _ = env.reset(seed=seed)
@@ -81,22 +81,22 @@ def test_normal_noise_is_drawn_as_it_always_was():
     np.testing.assert_array_equal(shown, expected.astype(np.float32))
 
 
-def test_heavy_tails_have_the_deviation_told_and_are_heavy():
-    """The distribution is Student's with 3 degrees: quartiles are nearer, and what is far out is oftener."""
+def test_heavy_tails_have_the_configured_deviation_and_are_heavy():
+    """Student's distribution with 3 degrees: narrower quartiles and more frequent outliers."""
     sigma = 0.5
     found = errors(SensorModel(dict.fromkeys(STATE, sigma), tails=3.0), times=1500)[:, 1:, 1:].ravel() / sigma
     assert len(found) > 4e4
     unit = math.sqrt(1 / 3)
     assert np.quantile(np.abs(found), 0.5) == pytest.approx(0.76489 * unit, rel=0.03)
     assert np.quantile(np.abs(found), 0.99) == pytest.approx(5.84091 * unit, rel=0.05)
-    # Of a distribution without a fourth moment the variance of a sample says little.
+    # Without a fourth moment the variance of a sample is no estimate.
     assert found.std() == pytest.approx(1.0, rel=0.15)
     normal = errors(SensorModel(dict.fromkeys(STATE, sigma)), times=1500)[:, 1:, 1:].ravel() / sigma
     assert (np.abs(normal) > 4).mean() < 1e-4 < 5e-3 < (np.abs(found) > 4).mean()
 
 
 @pytest.mark.parametrize("normalised", [False, True])
-def test_a_bias_is_there_at_all_times_of_the_features_named_and_on_the_ego_as_told(normalised):
+def test_a_bias_affects_the_named_features_and_the_ego_if_configured(normalised):
     unit = 200.0 if normalised else 1.0
     for ego in (False, True):
         found = errors(SensorModel({"x": 1.0 / unit}, normalised, bias={"x": 2.0 / unit}, ego=ego), times=400)
@@ -108,7 +108,7 @@ def test_a_bias_is_there_at_all_times_of_the_features_named_and_on_the_ego_as_to
 
 
 @pytest.mark.parametrize("absolute", [False, True])
-def test_nobody_is_shown_beyond_the_range_and_everybody_within(absolute):
+def test_vehicles_are_shown_exactly_within_the_range(absolute):
     observation = {**SEEN, "absolute": absolute, "normalize": not absolute, "vehicles_count": 30}
     env, left_out = make(SensorModel(range=60.0), observation), 0
     for seed in range(6):
@@ -123,8 +123,8 @@ def test_nobody_is_shown_beyond_the_range_and_everybody_within(absolute):
     assert left_out > 30
 
 
-def test_what_is_beyond_the_range_may_be_there():
-    """The shield takes somebody slow to be right beyond it, and says that not everybody was seen."""
+def test_an_unseen_vehicle_is_assumed_beyond_the_range():
+    """The shield assumes a slow vehicle right beyond the range, and its guarantee is reduced."""
     env = ShieldedEnv(make(SENSORS["range-60"]), perception="observation")
     env.reset(seed=0)
     reader = env.door.reader
@@ -136,7 +136,7 @@ def test_what_is_beyond_the_range_may_be_there():
     assert info["shield"]["guarantee"] != "all vehicles seen"
 
 
-def test_ghosts_come_as_often_and_stay_as_long_as_told():
+def test_ghosts_have_the_configured_rate_and_duration():
     rate, lasting, born, frames = 0.8, 3, 0, 0
     env = make(SensorModel(ghosts=rate, lasting=lasting), {**SEEN, "vehicles_count": 40})
     for seed in range(8):
@@ -158,7 +158,7 @@ def test_ghosts_come_as_often_and_stay_as_long_as_told():
             frames += 1
         lives = [sum(v in each for each in seen) for v in set().union(*seen[:60])]
         assert max(lives, default=0) <= lasting
-        assert not lives or np.mean(lives) > 0.8 * lasting  # but for those who leave the range
+        assert not lives or np.mean(lives) > 0.8 * lasting  # except ghosts that leave the range
     # 5 frames in a decision.
     expected = rate * frames / 5
     assert abs(born - expected) < 4 * math.sqrt(expected)
@@ -187,7 +187,7 @@ def test_a_ghost_moves_as_it_seems_to_and_is_the_same_by_the_same_seed():
 
 
 @pytest.mark.parametrize("behind", [True, False])
-def test_where_no_row_is_empty_a_ghost_takes_the_last_row_and_is_no_further_away(behind):
+def test_a_ghost_in_a_full_observation_replaces_the_last_row(behind):
     env, taken = make(SensorModel(ghosts=4.0), {**SEEN, "vehicles_count": 5, "see_behind": behind}), 0
     for seed in range(20):
         shown, _ = env.reset(seed=seed)
@@ -200,7 +200,7 @@ def test_where_no_row_is_empty_a_ghost_takes_the_last_row_and_is_no_further_away
     assert taken >= 3
 
 
-def test_noise_is_as_much_larger_from_the_time_told_on():
+def test_noise_grows_by_the_configured_factor_at_the_configured_time():
     model = SensorModel({"x": 0.5, "vx": 0.2}, change=(2.0, 3.0))
     before, after = errors(model, steps=9), errors(model, steps=10)
     assert before[:, 1:, 1].std() == pytest.approx(0.5, rel=0.05)
@@ -229,18 +229,18 @@ def test_noise_is_as_much_larger_from_the_time_told_on():
         ({"change": (1.0,)}, "a time and a factor"),
     ],
 )
-def test_sensors_that_there_cannot_be_are_refused(options, match):
+def test_invalid_sensor_models_are_refused(options, match):
     with pytest.raises(ConfigError, match=match):
         SensorModel(**options)
 
 
-def test_ghosts_are_refused_where_there_is_no_straight_highway():
+def test_ghosts_are_refused_on_roads_other_than_straight_highways():
     env = gym.make("roundabout-v0", config={"observation": SEEN})
     with pytest.raises(ConfigError, match="lanes_count"):
         SensorNoise(env, SENSORS["ghosts"])
 
 
-def test_the_command_line_names_the_sensors_that_there_are():
+def test_the_command_line_names_the_sensors_of_the_registry():
     assert tuple(SENSORS) == SENSOR_NAMES
 
 

@@ -1,4 +1,4 @@
-"""Sensors that are not exact: what they add is what they say, and nothing else."""
+"""Inexact sensors: their errors have the documented size, and no other effect."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def make(model, observation=SEEN):
 
 
 def drawn(model, episodes=20, observation=SEEN):
-    """What the sensor adds, row by row, in the observation's own units."""
+    """The error that the sensor adds, row by row, in the observation's own units."""
     env, found = make(model, observation), []
     for seed in range(episodes):
         shown, _ = env.reset(seed=seed)
@@ -32,7 +32,7 @@ def drawn(model, episodes=20, observation=SEEN):
     return env, found
 
 
-def test_noise_has_the_size_that_it_says_by_the_names_of_the_features():
+def test_noise_has_the_configured_size_for_each_feature():
     observation = {**SEEN, "features": ["vy", "presence", "x", "vx", "y"]}
     env, found = drawn(SensorModel({"x": 4.0, "vy": 0.5}), observation=observation)
     others = np.concatenate([rows[1:] for rows in found])
@@ -62,7 +62,7 @@ def test_a_seed_makes_the_same_noise_and_another_another():
     assert np.abs(driven(4)[0] - driven(5)[0]).max() > 0
 
 
-def test_rows_are_missing_as_often_as_it_says_but_never_the_ego_s():
+def test_rows_are_missing_at_the_configured_rate_but_never_the_ego_s():
     env, gone = make(SensorModel(dropout=0.3)), []
     for seed in range(40):
         shown, _ = env.reset(seed=seed)
@@ -72,7 +72,7 @@ def test_rows_are_missing_as_often_as_it_says_but_never_the_ego_s():
     assert np.mean(gone) == pytest.approx(0.3, abs=0.08)
 
 
-def test_what_is_late_is_what_was_shown_so_many_decisions_ago():
+def test_a_delayed_observation_is_that_of_so_many_decisions_ago():
     late, exact = make(SensorModel(delay=2)), gym.make("highway-fast-v0", config={"observation": SEEN})
     shown, past = [late.reset(seed=3)[0]], [exact.reset(seed=3)[0]]
     for _ in range(5):
@@ -84,8 +84,8 @@ def test_what_is_late_is_what_was_shown_so_many_decisions_ago():
         np.testing.assert_array_equal(shown[k][0], past[k][0])
 
 
-def test_who_supervises_frames_looks_through_the_sensor():
-    """At each frame anew, and at none of the simulator's own."""
+def test_supervised_frames_are_observed_through_the_sensor():
+    """At each frame anew, and never from the simulator's state."""
     env, asked = make(SENSORS["metric-0.5"]), []
     inner = env.observation
     env.observation = lambda observation: asked.append(env.unwrapped.steps) or inner(observation)
@@ -98,7 +98,7 @@ def test_who_supervises_frames_looks_through_the_sensor():
 
 
 @pytest.mark.parametrize("seed", range(500, 502))
-def test_nobody_is_hit_through_half_a_metre_of_noise(seed):
+def test_the_shielded_ego_does_not_crash_with_half_a_metre_of_noise(seed):
     variant = Variant(door="env", perception="observation")
     record = run_episode("highway-fast-seen", "faster", variant, seed, sensor="metric-0.5")
     assert not record.crashed
@@ -114,7 +114,7 @@ def test_nobody_is_hit_through_half_a_metre_of_noise(seed):
         ({"delay": -1}, "delay"),
     ],
 )
-def test_sensors_that_there_cannot_be_are_refused(options, match):
+def test_invalid_noise_settings_are_refused(options, match):
     with pytest.raises(ConfigError, match=match):
         SensorModel(**options)
 
@@ -123,7 +123,7 @@ def test_the_command_line_names_every_sensor():
     assert tuple(SENSORS) == SENSOR_NAMES
 
 
-def test_an_unknown_sensor_is_answered_with_those_that_there_are():
+def test_an_unknown_sensor_is_answered_with_the_valid_ones():
     with pytest.raises(ConfigError, match=r"unknown sensor 'radar'; have exact, metric-0\.5"):
         get_sensor("radar")
 

@@ -1,4 +1,4 @@
-"""The wrappers around highway-env: where the ego is on its lane, and the way back to the road."""
+"""Wrappers around highway-env: the ego's signed place on its lane, and its return to the road."""
 
 from __future__ import annotations
 
@@ -81,11 +81,11 @@ def test_a_mirrored_world_gives_mirrored_signs(part: float, across: float, turne
 
 
 @pytest.mark.parametrize("turned", [np.pi, -np.pi])
-def test_to_drive_the_wrong_way_is_plus_pi(turned: float) -> None:
+def test_the_heading_of_wrong_way_driving_is_plus_pi(turned: float) -> None:
     assert lane_offset(on_lane(StraightLane([0, 0], [100, 0]), 5.0, 0.0, turned)).heading == np.pi
 
 
-def test_to_the_right_is_positive() -> None:
+def test_offsets_to_the_right_are_positive() -> None:
     env = SignedLaneObservation(highway())
     observation, _ = env.reset(seed=1)
     assert observation[-2:].tolist() == [0.0, 0.0]
@@ -158,7 +158,7 @@ def test_the_ego_comes_back_to_the_middle_of_its_nearest_lane(env_id: str) -> No
     assert not np.array_equal(seen, unseen)
 
 
-def test_without_re_entry_it_stays_and_pays_again() -> None:
+def test_an_ego_without_re_entry_stays_off_the_road_and_is_penalised_again() -> None:
     env = OffRoadWrapper(highway(), penalty=2.0, re_entry=False)
     env.reset(seed=0)
     env.unwrapped.vehicle.position += [0.0, -50.0]
@@ -168,7 +168,7 @@ def test_without_re_entry_it_stays_and_pays_again() -> None:
     assert not env.unwrapped.vehicle.on_road
 
 
-def test_on_the_road_nothing_is_taken() -> None:
+def test_an_ego_on_the_road_is_not_penalised() -> None:
     env, plain = OffRoadWrapper(highway(), penalty=2.0), highway()
     env.reset(seed=0)
     plain.reset(seed=0)
@@ -176,7 +176,7 @@ def test_on_the_road_nothing_is_taken() -> None:
     assert (reward, info["off_road"], info["re_entered"]) == (bare, False, False)
 
 
-def test_nobody_leaves_a_parking_lot() -> None:
+def test_a_parking_lot_has_no_road_to_leave() -> None:
     env = PerformanceLogger(OffRoadWrapper(gym.make("parking-v0")))
     env.reset(seed=0)
     begin = env.unwrapped.vehicle.position.copy()
@@ -195,7 +195,7 @@ def test_an_episode_that_ends_off_the_road_ends_there() -> None:
     assert not env.unwrapped.vehicle.on_road
 
 
-def test_what_cannot_be_penalised_or_observed_is_refused() -> None:
+def test_invalid_penalties_and_observations_are_refused() -> None:
     for penalty in (-1.0, float("nan"), "1"):
         with pytest.raises(ConfigError, match="penalty"):
             OffRoadWrapper(highway(), penalty=penalty)
@@ -206,6 +206,6 @@ def test_what_cannot_be_penalised_or_observed_is_refused() -> None:
 @pytest.mark.parametrize(
     "wrapper", [SignedLaneObservation, OnLaneReward, OffRoadWrapper, PerformanceLogger, HanoiWorldReward]
 )
-def test_what_has_no_road_is_refused(wrapper):
+def test_an_environment_without_a_road_is_refused(wrapper):
     with pytest.raises(ConfigError, match=f"{wrapper.__name__} is for highway-env's environments.*CartPoleEnv"):
         wrapper(gym.make("CartPole-v1"))

@@ -1,4 +1,4 @@
-"""Skills: what a step of one is made of, where it ends, and that SB3 learns over it."""
+"""Skills: the steps of a skill, its end, and learning with SB3."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -46,8 +46,8 @@ def highway(**more):
     stop=st.integers(0, 7),
     discount=st.floats(0.5, 1.0),
 )
-def test_a_skill_sums_the_discounted_rewards_of_what_it_carries_out(actions, length, stop, discount):
-    """It ends with the sequence, the episode or the predicate, whichever comes first."""
+def test_a_skill_sums_the_discounted_rewards_of_its_steps(actions, length, stop, discount):
+    """A skill ends with its sequence, the episode or the predicate, whichever comes first."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("evaluation.wrappers.skills.check_highway_env", lambda env, wrapper: None)
         asked = []
@@ -65,7 +65,7 @@ def test_a_skill_sums_the_discounted_rewards_of_what_it_carries_out(actions, len
     assert skill["interrupted"] == (stop + 1 < min(len(actions), length))
 
 
-def test_a_skill_is_what_its_primitive_steps_are():
+def test_a_skill_has_the_results_of_its_primitive_steps():
     """Observation, end and info are those of the last primitive step."""
     env, bare = Skills(highway(), REPORT_SKILLS), highway()
     env.reset(seed=3)
@@ -103,7 +103,7 @@ def test_the_shields_verdict_ends_a_skill_at_the_very_step():
     assert ended > 4
 
 
-def test_the_distance_to_anybody_ends_a_skill():
+def test_a_near_vehicle_ends_a_skill():
     env = Skills(highway(), {"FOLLOW": [1] * 4}, nearer_than(1e4))
     env.reset(seed=0)
     assert env.step(0)[-1]["skill"] | {"rewards": []} == {
@@ -145,12 +145,12 @@ def test_the_wrapper_is_a_gymnasium_environment():
         ({"a": [1]}, {"interrupt": 3}, "interrupt is a function"),
     ],
 )
-def test_what_is_no_skill_is_refused(skills, more, says):
+def test_invalid_skills_are_refused(skills, more, says):
     with pytest.raises(ConfigError, match=says):
         Skills(highway(), skills, **more)
 
 
-def test_what_cannot_work_is_told():
+def test_unsupported_environments_are_refused_by_skills():
     with pytest.raises(ConfigError, match="sequences of discrete actions"):
         Skills(gym.make("highway-fast-v0", config={"action": {"type": "ContinuousAction"}}))
     with pytest.raises(ConfigError, match="road and vehicles"):

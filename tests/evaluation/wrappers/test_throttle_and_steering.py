@@ -1,4 +1,4 @@
-"""Throttle and steering where highway-env's own rewards are for meta-actions."""
+"""Throttle and steering on roads whose rewards in highway-env are for meta-actions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from shield import ConfigError
 
 
 @pytest.mark.parametrize("road", ROADS)
-def test_highway_env_does_not_make_it_and_this_does(road):
+def test_highway_env_refuses_such_environments_and_the_wrapper_makes_them(road):
     """If highway-env comes to make one, it is to be taken from there."""
     with pytest.raises((ValueError, AttributeError)):
         gym.make(road, config={"action": {"type": "ContinuousAction"}})
@@ -38,8 +38,8 @@ def test_highway_env_does_not_make_it_and_this_does(road):
     assert not {"speed_index", "target_speeds", "route"} & set(vars(env.unwrapped.vehicle))
 
 
-def test_what_is_paid_is_what_meta_actions_are_paid_for_the_same_state():
-    """Idle in the middle of a lane at the target speed: the vehicle of either kind does the same."""
+def test_the_reward_is_that_of_meta_actions_in_the_same_state():
+    """Idle in the middle of a lane at the target speed: vehicles of both kinds move alike."""
     meta, inputs = gym.make("roundabout-v1"), ThrottleAndSteering(gym.make("roundabout-v1"))
     meta.reset(seed=1)
     inputs.reset(seed=1)
@@ -51,7 +51,7 @@ def test_what_is_paid_is_what_meta_actions_are_paid_for_the_same_state():
     assert other._rewards(np.zeros(2))["high_speed_reward"] == 2 / 2
 
 
-def test_a_road_that_ends_pays_nothing_for_lanes_that_are_not_there():
+def test_a_road_that_ends_pays_nothing_for_missing_lanes():
     env = ThrottleAndSteering(gym.make("two-way-v0"))
     env.reset(seed=0)
     base = env.unwrapped
@@ -70,13 +70,13 @@ def test_options_of_the_action_are_passed_on():
     assert type(tyres.unwrapped.vehicle) is BicycleVehicle
 
 
-def test_it_passes_gymnasiums_check_and_is_learned_on():
+def test_the_environments_pass_gymnasiums_check_and_can_be_learned_on():
     check_env(gym.make("roundabout-continuous-v1").unwrapped, skip_render_check=True)
     env = get_setting("roundabout-continuous").make()
     PPO("MlpPolicy", env, n_steps=8, batch_size=8, device="cpu", seed=0).learn(8)
 
 
-def test_what_it_is_not_for_is_refused():
+def test_unsupported_environments_are_refused():
     with pytest.raises(ConfigError, match="RacetrackEnv has ContinuousAction"):
         ThrottleAndSteering(gym.make("racetrack-v0"))
     with pytest.raises(ConfigError, match="no actions of highway-env"):

@@ -1,4 +1,4 @@
-"""The first input hardly moves when the scene does, unless the plan passes somebody on another side."""
+"""The first input hardly changes with a small change of the scene, unless the plan passes a vehicle on another side."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ import pytest
 from mpc import FilterProblem, FilterSettings, PredictiveFilter, Status
 
 SETTINGS = FilterSettings(sweeps=10)
-"""Until the linearisations settle: what three of them leave open is no discontinuity of the problem."""
+"""Iterations until the linearisations converge; the error after three is no discontinuity of the problem."""
 RANGE = np.array([10.0, np.pi / 2])
 STEP = 1e-3
 """Perturbation of positions [m], speeds [m/s], accelerations [m/s^2]; a twentieth of it for angles [rad]."""

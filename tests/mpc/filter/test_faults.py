@@ -1,4 +1,4 @@
-"""Nothing that is broken leaves the filter as a plan, and the next clean call is as if nothing had happened."""
+"""After any fault no plan leaves the filter, and the next clean call is unaffected."""
 
 from dataclasses import replace
 
@@ -87,7 +87,7 @@ def test_nan_is_bad_input_where_infinity_stands_for_unbounded(name):
         replace(clean(), state=np.array([0.0, 0.0, 0.0, 1e6])),
     ],
 )
-def test_what_is_out_of_range_is_bad_input(problem):
+def test_a_value_out_of_range_is_bad_input(problem):
     result = PredictiveFilter(SETTINGS).solve(problem)
     assert result.status is Status.BAD_INPUT
     no_plan(result, problem)
@@ -248,7 +248,7 @@ def test_a_solver_that_does_nothing_is_noticed():
     assert solver.solve(program).x is None
 
 
-def test_residuals_see_what_is_wrong():
+def test_residuals_detect_violated_constraints():
     program = build(clean(), np.zeros((N, 2)), SETTINGS)
     rows, columns = program.A.shape
     x = np.zeros(columns)

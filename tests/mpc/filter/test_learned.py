@@ -1,4 +1,5 @@
-"""The predictive filter on a learned model: it plans with the model, refuses what the model cannot say, and acts."""
+"""The predictive filter on a learned model: it plans with the model, refuses steps that the model lacks, and
+intervenes."""
 
 from __future__ import annotations
 
@@ -83,7 +84,7 @@ def test_a_stage_of_an_exact_model_is_the_bicycles_frames(state, control, kappa,
 
 @given(floats(5, 60), floats(2, 14))
 @settings(max_examples=25, deadline=None)
-def test_on_an_exact_model_the_answer_is_the_bicycles(gap, v):
+def test_the_answer_on_an_exact_model_is_that_of_the_bicycle(gap, v):
     answers = []
     for model in (None, EXACT):
         solver = filter_on(model)
@@ -112,7 +113,7 @@ def test_a_plan_is_the_models_own(gap, v):
         assert np.abs(result.states[:, 3] - exact[3]).max() > 1e-3
 
 
-def test_it_brakes_earlier_on_a_model_with_weaker_brakes():
+def test_the_filter_brakes_earlier_on_a_model_with_weaker_brakes():
     def first(model):
         solver = filter_on(model)
         solver.reset()
@@ -137,7 +138,7 @@ def test_a_copy_plans_on_the_same_model(copied):
     assert copied(solver).solve(problem).inputs.tobytes() == solver.solve(problem).inputs.tobytes()
 
 
-def test_what_the_model_cannot_say_is_refused_at_once():
+def test_a_step_that_the_model_lacks_is_refused_at_construction():
     class Half(Exact):
         def held(self, state, control, duration):
             raise ConfigError(f"not for {duration}")

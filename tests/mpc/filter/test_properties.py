@@ -1,4 +1,4 @@
-"""What holds for every answer of the predictive filter, whatever it is asked."""
+"""Properties of every answer of the predictive filter."""
 
 import copy
 import pickle
@@ -77,7 +77,7 @@ def test_a_usable_plan_keeps_clear_and_every_plan_keeps_its_bounds(backend, prob
 @each
 @given(scenes)
 @settings(max_examples=40, deadline=None)
-def test_the_states_are_what_the_simulator_makes_of_the_inputs(backend, problem):
+def test_the_planned_states_are_the_simulators_under_the_planned_inputs(backend, problem):
     FILTERS[backend].reset()
     result = FILTERS[backend].solve(problem)
     s, r, psi, v = problem.state
@@ -192,8 +192,8 @@ def test_the_braking_guess_stops_and_turns_along_the_road(problem):
 
 
 @each
-def test_it_acts_full_throttle_towards_a_leader_that_stops(backend):
-    """The test that a filter which is never asked, or always passes, fails."""
+def test_the_filter_overrides_full_throttle_towards_a_leader_that_stops(backend):
+    """A filter that is never called, or always passes, fails this test."""
     leader, v_leader, brake = 40.0, 20.0, 0.0
     vehicle = Vehicle(None, np.array([0.0, 0.0]), 0.0, 25.0)
     FILTERS[backend].reset()
@@ -222,7 +222,7 @@ def test_it_acts_full_throttle_towards_a_leader_that_stops(backend):
 
 @each
 @pytest.mark.parametrize("curvature", [0.0, 0.05, -0.03])
-def test_it_drives_by_itself_to_a_lane_and_a_speed(backend, curvature):
+def test_the_filter_drives_to_a_reference_lane_and_speed(backend, curvature):
     state = np.array([0.0, 0.0, 0.0, 5.0])
     driver = PredictiveFilter(replace(SETTINGS, backend=backend))
     bend = None if curvature == 0 else np.full(N, curvature)

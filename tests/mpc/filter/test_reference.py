@@ -1,4 +1,4 @@
-"""The filter against IPOPT, on questions recorded while it drives highway-v0 with throttle and steering."""
+"""The filter against IPOPT, on problems recorded while it drives highway-v0 with throttle and steering."""
 
 from functools import lru_cache
 
@@ -14,7 +14,7 @@ from mpc.filter.solvers.daqp import Solver
 from mpc.filter.solvers.guess import brake_guess, shifted
 
 SETTINGS = FilterSettings(sweeps=10, tolerance=0.002)
-"""Settled, so that what is compared is the optimum and not the budget."""
+"""Converged, so that the optimum is compared and not the budget."""
 STILL = FilterSettings(sweeps=40, tolerance=0.002, settled=1e-4, trust=0.1)
 """Settled in smaller steps, until hardly anything moves."""
 RANGE = np.array([10.0, np.pi / 2])
@@ -90,7 +90,7 @@ def test_every_difference_is_explained():
     ("settings", "nudge", "share"),
     [(SETTINGS, 0.0, 0.85), (STILL, 0.0, 0.91), *((STILL, nudge, 0.92) for nudge in (-0.01, -0.005, 0.005, 0.01))],
 )
-def test_over_many_questions(settings, nudge, share):
+def test_the_first_input_is_that_of_ipopt_in_many_problems(settings, nudge, share):
     """Prints the shares: `pytest -m slow -s tests/mpc/filter/test_reference.py`."""
     rows = [row for seed in range(20, 24) for row in compared(settings, seed, nudge)]
     for kind in (*KINDS, "all"):

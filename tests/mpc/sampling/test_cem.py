@@ -1,5 +1,5 @@
-"""Planners find known optima, stay inside their bounds, repeat themselves, plan for many as for one, keep their time,
-and never hand out what is not finite."""
+"""Planners find known optima, stay inside bounds, are repeatable, plan batches as single problems, keep time limits,
+and never return values that are not finite."""
 
 import time
 
@@ -35,7 +35,7 @@ class Echo:
 
 
 class Broken(Echo):
-    """Some or all of what follows is not a number."""
+    """Some or all of the predicted states are NaN."""
 
     def __init__(self, share):
         self.share, self.generator = share, np.random.default_rng(0)
@@ -110,7 +110,7 @@ def test_the_same_seed_gives_the_same_plans(goal, kind, seed):
     memories, plans = [None, None], []
     planners = [CEM(Echo(), KINDS[kind].replace(seed=seed)) for _ in range(2)]
     for _ in range(3):
-        np.random.seed(np.random.randint(1000))  # noqa: NPY002 (nobody else's numbers may matter)
+        np.random.seed(np.random.randint(1000))  # noqa: NPY002 (other random numbers must not matter)
         plans = [p.plan(np.zeros(2), quadratic(goal), m) for p, m in zip(planners, memories, strict=True)]
         memories = [p.memory for p in plans]
         assert np.array_equal(plans[0].inputs, plans[1].inputs)
@@ -175,7 +175,7 @@ def test_samples_that_are_not_finite_are_never_chosen(share, kind):
 
 
 @pytest.mark.parametrize("planner", [CEM, MPPI])
-def test_without_any_finite_cost_the_labelled_fallback_acts(planner):
+def test_the_labelled_fallback_acts_without_any_finite_cost(planner):
     states = np.zeros((3, 2))
     for fallback, expected in ((None, 0.0), (lambda s: np.full((3, 2), 0.7), 0.7), (lambda s: s * np.nan, 0.0)):
         plan = planner(Broken(1.0), fallback=fallback).plan(states, quadratic(np.zeros((5, 2))))
@@ -195,7 +195,7 @@ def test_a_state_that_is_not_finite_ends_in_the_fallback():
     assert np.isfinite(plan.action).all()
 
 
-def test_one_bad_row_leaves_the_others_alone():
+def test_a_bad_row_does_not_affect_the_others():
     goal = quadratic(np.full((3, 2), 0.4))
 
     def cost(t):
@@ -208,7 +208,7 @@ def test_one_bad_row_leaves_the_others_alone():
     assert np.array_equal(plan.inputs[0], CEM(Echo(), KINDS["icem"]).plan(np.zeros(2), goal).inputs)
 
 
-def test_the_mean_is_answered_where_it_is_asked_for():
+def test_the_answer_may_be_configured_to_be_the_mean():
     chosen = KINDS["plain"].replace(iterations=3)
     best, mean = (
         CEM(Echo(), chosen.replace(answer=a)).plan(np.zeros(2), quadratic(np.zeros((3, 2)))) for a in ("best", "mean")

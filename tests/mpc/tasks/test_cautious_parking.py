@@ -1,4 +1,4 @@
-"""Paying for disagreement: where an ensemble is unsure, plans stay out; MPPI drives as CEM does."""
+"""A cost of disagreement: plans avoid places where an ensemble is uncertain; MPPI drives as CEM does."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mpc.tasks.parking import PROFILES, ParkingTask, parking_settings
 
 
 class Unsure(BicycleModel):
-    """Its members disagree by what it is told for states on the left of the middle."""
+    """A model whose members disagree by a given amount for states on the left of the middle."""
 
     def disagreement(self, states, actions):
         out = np.zeros((len(states), 6))

@@ -1,4 +1,4 @@
-"""Planning in a roundabout: what clearance and target speed cost, what is read, and what is refused."""
+"""Planning in a roundabout: the costs of clearance and target speed, the observation, and refusals."""
 
 import gymnasium as gym
 import numpy as np
@@ -114,7 +114,7 @@ def test_between_states_a_circle_is_followed():
     assert np.abs(ways[0] - tangent).max() < 0.05
 
 
-def test_nobody_costs_nothing():
+def test_an_absent_vehicle_costs_nothing():
     gone = scene(place(0, 0), place(1, 0))
     gone[EGO] = 0.0
     assert STRICT.stages(along([gone, gone]))[0, 0, 0] == 0.0
@@ -122,7 +122,7 @@ def test_nobody_costs_nothing():
 
 @settings(max_examples=60, deadline=None)
 @given(st.sampled_from([0.0, 8.0, 16.0]), st.floats(-1.5, 1.5), st.sampled_from([IDLE, FASTER, SLOWER, LEFT]))
-def test_what_is_aimed_at_is_what_is_paid(target, off, action):
+def test_the_target_cost_is_that_of_the_commanded_speed(target, off, action):
     speed = max(target + off, 0.0)
     state = scene(place(0, 0, 0.3, speed))
     cost = TargetCost((0.0, 8.0, 16.0), FASTER, SLOWER).stages(along([state, state], [action]))[0, 0, 0]
@@ -146,7 +146,7 @@ def test_states_are_the_simulators():
         assert away.min() < 1e-3
 
 
-def test_who_stands_points_somewhere():
+def test_a_standing_ego_has_a_heading():
     task = RoundaboutTask(get_setting("roundabout").make())
     observation = np.zeros((5, 5))
     observation[0] = [1.0, 0.02, 0.45, 0.0, 0.0]
@@ -155,7 +155,7 @@ def test_who_stands_points_somewhere():
     assert states[0, 5] < 0
 
 
-def test_it_drives_and_repeats_itself():
+def test_the_planner_drives_and_is_repeatable():
     env = get_setting("roundabout").make()
     taken = []
     for _ in range(2):
@@ -183,13 +183,13 @@ def test_an_observation_that_is_not_finite_ends_in_slower():
     assert int(action) == SLOWER
 
 
-def test_the_bundled_models_know_what_the_meta_actions_do():
+def test_the_bundled_models_predict_the_effect_of_meta_actions():
     ego, others = load_roundabout()
     model = RoundaboutModel(ego, others, 2, 3)
     start = scene(place(2, 40, -np.pi / 2, 8.0))
     speed = {a: np.hypot(*model.step(start[None], [[a]])[0, 2:4]) for a in (IDLE, FASTER, SLOWER)}
     assert speed[SLOWER] < 3.0 < 7.0 < speed[IDLE] < 9.0 < 12.0 < speed[FASTER]
-    # Who stays goes round at the radius it has; who leaves is farther out a second later.
+    # A vehicle that stays circles at its radius; one that leaves is farther out a second later.
     circling = place(22 * np.cos(0.7), 22 * np.sin(0.7), 0.7 - np.pi / 2, 14.0)
     state = scene(place(2, 100, -np.pi / 2, 0.0), circling, circling)
     state[EGO + ROW + 7] = 1.0
@@ -199,7 +199,7 @@ def test_the_bundled_models_know_what_the_meta_actions_do():
     assert radius[1] > radius[0] + 1.5
 
 
-def test_by_name_and_what_is_refused():
+def test_the_planner_has_a_name_and_refuses_unsupported_environments():
     assert isinstance(make_policy("cem", get_setting("roundabout").make()), CEMPolicy)
     assert roundabout_settings().blocks >= 4
     env = get_setting("roundabout").make()

@@ -1,4 +1,4 @@
-"""Meta-actions among traffic: what the model and the costs say about simple scenes, and what is refused."""
+"""Meta-actions among traffic: the model and the costs in simple scenes, and refusals."""
 
 import numpy as np
 import pytest
@@ -47,7 +47,7 @@ def test_the_order_of_the_vehicles_does_not_matter(order, action, speed):
 
 @settings(max_examples=30, deadline=None)
 @given(st.floats(-20, 90), st.floats(-5, 5), st.integers(0, 4))
-def test_nobody_stays_nobody(dx, dv, action):
+def test_an_absent_vehicle_stays_absent(dx, dv, action):
     model = TrafficModel(load_traffic(), 4)
     after = model.step(scene((dx, 0.0, dv))[None], np.array([[float(action)]]))[0, EGO:].reshape(4, 5)
     assert after[:, 0].tolist() == [1.0, 0.0, 0.0, 0.0]
@@ -55,7 +55,7 @@ def test_nobody_stays_nobody(dx, dv, action):
     assert np.isfinite(alone).all()
 
 
-def test_the_model_knows_what_the_meta_actions_do():
+def test_the_model_predicts_the_effect_of_meta_actions():
     model = TrafficModel(load_traffic(), 4)
     speeds = {a: model.step(scene((40.0, 0.0, 0.0))[None], np.array([[float(a)]]))[0, 2] for a in range(5)}
     assert speeds[FASTER] > speeds[IDLE] + 1.5
@@ -67,7 +67,7 @@ def test_the_model_knows_what_the_meta_actions_do():
     assert closing == pytest.approx(35.0, abs=1.5)
 
 
-def test_one_decision_of_the_simulator_is_about_a_step():
+def test_a_step_of_the_model_is_about_one_decision_of_the_simulator():
     env = get_setting("highway-fast").make()
     data = collect_traffic(env, 25, seed=3, first_reset=8000)
     error = load_traffic().step(data.states, data.actions) - data.next_states
@@ -107,7 +107,7 @@ def test_farther_inside_the_margins_costs_more(a, b, dy):
 @settings(max_examples=30, deadline=None)
 @given(st.integers(1, 4), st.integers(1, 4))
 def test_driving_through_a_vehicle_does_not_pay(first, second):
-    # What comes after the crash is nothing: the same clear places cost 1 each once there was one.
+    # After a crash nothing else counts: the same clear places cost 1 each.
     def plan(at):
         return along([scene((20.0, 0.0, 0.0))] + [scene((-20.0 if i > at else 3.0, 0.0, 0.0)) for i in range(1, 6)])
 
@@ -117,7 +117,7 @@ def test_driving_through_a_vehicle_does_not_pay(first, second):
     assert cost.stages(late).sum() == pytest.approx(5 - second)
 
 
-def test_a_vehicle_that_is_not_there_costs_nothing():
+def test_an_absent_vehicle_has_no_contact_cost():
     gone = scene((5.0, 0.0, 0.0))
     gone[EGO] = 0.0
     assert ContactCost().stages(along([gone, gone]))[0, 0, 0] == 0.0
@@ -144,7 +144,7 @@ def test_states_are_the_simulators():
     assert states[0, EGO + 1] == pytest.approx(nearest.position[0] - ego.position[0], abs=1e-3)
 
 
-def test_it_drives_an_episode_without_crash_and_repeats_itself():
+def test_the_planner_drives_without_a_crash_and_is_repeatable():
     env = get_setting("highway-fast").make()
     taken = []
     for _ in range(2):
@@ -171,7 +171,7 @@ def test_an_observation_that_is_not_finite_ends_in_slower():
     assert int(action) == SLOWER
 
 
-def test_what_the_model_does_not_know_is_refused():
+def test_actions_and_settings_that_the_model_lacks_are_refused():
     with pytest.raises(ConfigError, match="target speeds"):
         make_policy("cem", get_setting("abz").make())
     env = get_setting("highway-fast").make()

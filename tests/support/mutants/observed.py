@@ -58,7 +58,7 @@ OBSERVED = (
         "ObservationSpec.sight",
         "min(_, _)",
         "{1}",
-        "tests/evaluation/wrappers/test_sensor_model.py::test_what_is_beyond_the_range_may_be_there",
+        "tests/evaluation/wrappers/test_sensor_model.py::test_an_unseen_vehicle_is_assumed_beyond_the_range",
         which=1,
     ),
     off(
@@ -67,7 +67,7 @@ OBSERVED = (
         "ObservedScenes.check",
         "_(_, _=False, _=float(getattr(_, 'sensor_range', _)))",
         "{1}({2}, clip=False)",
-        "tests/evaluation/wrappers/test_sensor_model.py::test_what_is_beyond_the_range_may_be_there",
+        "tests/evaluation/wrappers/test_sensor_model.py::test_an_unseen_vehicle_is_assumed_beyond_the_range",
     ),
     off(
         "what wrappers have added is taken for what is shown",

@@ -24,7 +24,7 @@ def problem(seed: int) -> tuple[np.ndarray, ...]:
 
 @settings(max_examples=400, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_it_is_where_a_solver_finds_it(seed: int) -> None:
+def test_the_nearest_point_is_that_of_a_solver(seed: int) -> None:
     values, slopes, at, low, high = problem(seed)
     mine = nearest(values, slopes, at, low, high)
     size = np.maximum(np.linalg.norm(slopes, axis=1), 1e-12)
@@ -42,7 +42,7 @@ def test_it_is_where_a_solver_finds_it(seed: int) -> None:
             np.testing.assert_allclose(mine, theirs, atol=1e-6)
 
 
-def test_what_is_not_finite_does_not_count() -> None:
+def test_constraints_that_are_not_finite_do_not_count() -> None:
     values, slopes = np.array([np.inf, np.nan, -1.0]), np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]])
     found = nearest(values, slopes, np.zeros(2), -np.ones(2), np.ones(2))
     np.testing.assert_allclose(found, [0.0, 0.5])

@@ -1,4 +1,4 @@
-"""OSQP solves the same programs as DAQP, in another form; what it gets wrong silently is found out."""
+"""OSQP solves the same programs as DAQP, in another form; its silent errors are detected."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ QUESTION = ("state", "inputs", "occupancy", "rest", "edges", "corridor", "curvat
 
 
 def test_exact_answers_are_those_of_daqp():
-    """First inputs to 1 % of the range in 98 % of what is called exact; and few programs meet the deadline."""
+    """First inputs to 1 % of the range in 98 % of the answers called exact; few programs meet the deadline."""
     other, apart, exact = OsqpSolver(OSQP), [], []
     beside = SparseProgram(OSQP, OSQP.obstacles, False, False)
 
@@ -108,7 +108,7 @@ def test_exact_answers_are_those_of_daqp():
 
 @pytest.mark.parametrize("kind", ["weave", "throttle", "wild"])
 def test_both_backends_keep_a_driver_usable(kind):
-    """Asked from the same guesses: as often a plan that the rollout verifies, and as near to the proposals."""
+    """From the same guesses, the backends find verified plans equally often, and equally near to the proposals."""
     own, other = PredictiveFilter(SETTINGS), PredictiveFilter(OSQP)
     usable, far = [], []
     for problem, first in record(SETTINGS, 25, kind, seed=60):
@@ -190,7 +190,7 @@ def test_the_answer_keeps_clear_and_is_repeatable():
     np.testing.assert_array_equal(results[0].inputs, results[1].inputs)
 
 
-def test_a_used_workspace_is_as_good_as_a_new_one(program):
+def test_a_used_workspace_gives_the_answers_of_a_new_one(program):
     used = OsqpSolver(OSQP)
     other = build_sparse(leader(12.0), np.zeros((N, 2)), OSQP)
     before = used.solve(program)

@@ -37,10 +37,9 @@ overlap."""
 
 @uncounted
 def stayed(owed: Any, counted: Any, behind: Any, held: Any, broken: Any, grown: Any, owing: Any) -> tuple[bool, bool]:
-    """Update the distance obligations, `owing`, and add violations of the distance rule to `grown`.
-
-    A vehicle violates it if it had an obligation and has come beside the ego in the ego's lane. A vehicle that the
-    stored plan relies on to brake, `counted`, violates it if the fail-safe loses its room.
+    """Update the distance obligations, `owing`, and add the distance rule to `grown` for two kinds of vehicles: those
+    that had an obligation and have come beside the ego in an owned lane, and those that the stored plan relies on to
+    brake, `counted`. Rules in `grown` are violated only where the fail-safe loses its room (`Motions`).
 
     Parameters
     ----------

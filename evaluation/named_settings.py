@@ -209,7 +209,7 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType(
                 "lane-keeping",
                 "evaluation.scenarios:lane-keeping-half-minute-v0",
                 {},
-                "30 s of lane-keeping-v0: steering alone, tyres that slip, nobody else, 10 Hz",
+                "30 s of lane-keeping-v0: steering alone, tyres that slip, no other vehicle, 10 Hz",
                 road=False,
             ),
         )

@@ -138,7 +138,7 @@ def import_command(
     output: Annotated[Path, typer.Argument(help="The .npz to write.")],
     dt: Annotated[float | None, typer.Option(help="Duration of a decision [s], if the data set has none.")] = None,
 ) -> None:
-    """Read a Minari data set whose observations are states."""
+    """Read a Minari data set with states as observations."""
     from dynamics.learned.data.minari import from_minari
 
     transitions = from_minari(name, dt)

@@ -102,23 +102,25 @@ def _among(
 
     if has_network(setting):
         found = search_roads(setting, drivers, config, episodes or _EPISODES["network"], seed, jobs)
-        table = Table("", f"{found.episodes} episodes, {found.frames} frames in which something was promised")
-        table.add_row("breach by one whom nobody has named", "found" if found.hole else "none")
-        table.add_row("frames in which one who kept to the rules made a margin less", str(found.shrunk))
-        table.add_row("median clearance as drawn, of the buffer \\[m]", f"{found.median:.3f}")
-        table.add_row("clearance of the buffer in the one kept \\[m]", f"{found.find.clearance:.3f}")
+        table = Table("", f"{found.episodes} episodes, {found.frames} frames with a verified plan")
+        table.add_row("breach without a recorded violation", "found" if found.hole else "none")
+        table.add_row("frames in which a compliant vehicle reduced a margin", str(found.shrunk))
+        table.add_row("median clearance from the buffer at random \\[m]", f"{found.median:.3f}")
+        table.add_row("clearance from the buffer in the saved episode \\[m]", f"{found.find.clearance:.3f}")
         table.add_row("crashes of the ego", str(found.crashed))
-        table.add_row("rules broken", _told(found.by_rule) or "none")
+        table.add_row("broken rules", _told(found.by_rule) or "none")
         find, hole = found.find, found.hole
     else:
         if drivers != "bold":
             raise ConfigError(f"on straight highways have drivers idm or bold, not {drivers!r}: {setting.name} is one")
         met = falsify_among(setting, config or ShieldConfig(), episodes or _EPISODES["bold"], seed, jobs=jobs)
         table = Table("", f"{met.episodes} episodes, {met.began} of them from a verified start")
-        table.add_row("crash or breach, nobody named: seeds", ", ".join(map(str, met.holes)) or "none")
+        table.add_row(
+            "seeds with a crash or breach without a recorded violation", ", ".join(map(str, met.holes)) or "none"
+        )
         named = _told(met.by_rule)
-        table.add_row("somebody named", f"in {met.named} ({named})" if named else "in none")
-        table.add_row("clearance of the buffer in the one kept \\[m]", f"{met.find.clearance:.3f}")
+        table.add_row("episodes with a recorded violation", f"{met.named} ({named})" if named else "none")
+        table.add_row("clearance from the buffer in the saved episode \\[m]", f"{met.find.clearance:.3f}")
         find, hole = met.find, bool(met.holes)
     find.save(output)
     _out.print(table)

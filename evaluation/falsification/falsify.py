@@ -32,7 +32,7 @@ _SCENES = 100_000
 _ACTIONS = 40
 """Largest number of actions that are searched; the last one is repeated until the episode ends."""
 _LOST = 1e3
-"""Clearance for an episode whose first decision is not verified, and for which nothing is guaranteed [m]."""
+"""Clearance of an episode without a verified first decision, for which nothing is guaranteed [m]."""
 _AT_ONCE = 16
 """Episodes among compliant traffic that run in parallel before the results are checked for a find."""
 
@@ -140,8 +140,8 @@ def crash_probability(
     """
     if on_roads(setting.env_id):
         raise ConfigError(
-            f"the scenes of {setting.name} go by seeds, which lead nowhere; have a straight highway, or count"
-            " with `shield certify`"
+            f"the scenes of {setting.name} are drawn from seeds, with no direction to search in; have a straight"
+            " highway, or count with `shield certify`"
         )
     episodes = _Episodes(setting, policy, config)
     return subset_simulation(

@@ -83,7 +83,7 @@ def made_with(setting: Setting, policy: str) -> dict[str, Any]:
 
 
 def changed(find: Find) -> list[str]:
-    """Names of the libraries whose versions differ from those at the time of the find."""
+    """Names of the libraries with other versions than at the time of the find."""
     return differences({"version of": find.made.get("version of", {})}, {"version of": versions()})
 
 

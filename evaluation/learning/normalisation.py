@@ -28,7 +28,7 @@ def normalised(env: gym.Env[Any, Any] | VecEnv, what: Collection[str], gamma: fl
     ----------
     env : a single environment, or a VecEnv.
     what : any of `evaluation.names.NORMALISABLE`.
-    gamma : discount of the returns, by whose standard deviation rewards are divided.
+    gamma : discount of the returns; rewards are divided by the returns' standard deviation.
     """
     world = env if isinstance(env, VecEnv) else DummyVecEnv([cast(Any, lambda: env)])
     return VecNormalize(

@@ -19,7 +19,7 @@ __all__ = ["NormalisedModel", "statistics_beside", "with_statistics"]
 _NAMES = ("{stem}_vecnormalize.pkl", "{stem}-vecnormalize.pkl", "vecnormalize.pkl", "vec_normalize.pkl")
 """Names of the file in SB3's documentation and in the RL Zoo; those with the model's own name first."""
 _CHECKPOINT = re.compile(r"^(?P<prefix>.+)_(?P<steps>\d+)_steps$")
-"""Name of a model of SB3's `CheckpointCallback`, whose statistics are in PREFIX_vecnormalize_STEPS_steps.pkl."""
+"""Name of a model of SB3's `CheckpointCallback`; its statistics are in PREFIX_vecnormalize_STEPS_steps.pkl."""
 
 
 class NormalisedModel:

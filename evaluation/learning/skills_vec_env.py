@@ -39,7 +39,7 @@ within a skill, and the infos of their last primitive steps."""
 
 
 class SkillsVecEnv(VecEnvWrapper):
-    """Batch of compiled environments whose actions are skills, equal to `Skills` around each of them to the last bit.
+    """Batch of compiled environments with skills as actions, equal to `Skills` around each of them to the last bit.
 
     A step lasts until the skill of each environment has ended. An environment whose skill ends earlier waits for the
     others, with its traffic. `infos[i]["skill"]` is as in `Skills`. `infos[i]["episode"]` counts primitive steps, as

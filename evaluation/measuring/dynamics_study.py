@@ -135,7 +135,7 @@ def learn(
 def fresh_driving(
     model: LinearStructuredModel, data: Transitions, seed: int, transitions: int = TEST, env_id: str = "parking-v0"
 ) -> tuple[Transitions, Transitions]:
-    """New random and on-policy driving; the planner uses `model`, whose data were `data`."""
+    """New random and on-policy driving; the planner uses `model`, trained on `data`."""
     env = _make(env_id)
     try:
         env.reset(seed=0)

@@ -26,7 +26,7 @@ class Tallies(NamedTuple):
 
     Attributes
     ----------
-    held_back : number of decisions in `overridden` whose action was the proposal.
+    held_back : number of decisions in `overridden` with the proposal as the action.
     min_ttc : least time to a collision at constant velocities, at most `HORIZON`, and 0 in a crash [s].
     speeds : sum of the ego's speed over `counted` frames, up to a crash [m/s].
     fallbacks : number of decisions with a fallback.

@@ -54,7 +54,7 @@ Row = tuple[float, float, float, float]
 
 
 def _scene(ego: Row, *others: Row, lanes: int, lane: int | None = None, dt: float = _DT) -> Scene:
-    """Vehicles of 5 m x 2 m on a straight road whose lane i is centred at y = 4 i."""
+    """Vehicles of 5 m x 2 m on a straight road; lane i is centred at y = 4 i."""
     road = StraightRoad.from_lanes(lanes)
     rows = np.array([[*row, LENGTH, WIDTH, 0.0] for row in others], dtype=float).reshape(-1, len(Vehicle))
     target = Target(road.lane_at(ego[1]) if lane is None else lane, ego[3])

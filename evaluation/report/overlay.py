@@ -29,7 +29,7 @@ _LEAST_WIDTH = 1000
 
 
 class ShieldOverlay(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
-    """A wrapper whose `render` shows the decision too: proposed, executed and fail-safe paths, reason and margin.
+    """A wrapper with the decision in its `render`: proposed, executed and fail-safe paths, reason and margin.
 
     Frames between two decisions, which highway-env passes to a registered `RecordVideo`, have the overlay as well.
 

@@ -273,7 +273,7 @@ def _part(
 
 
 def _processor_time(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """CPU seconds by variant, over the training seeds whose records have them, and their sum."""
+    """CPU seconds by variant and their sum, over the training seeds with CPU seconds in their records."""
     found: dict[str, dict[str, float]] = {}
     for each in records:
         if "cpu_seconds" in each:

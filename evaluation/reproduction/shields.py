@@ -71,7 +71,7 @@ BASELINES: Mapping[str, str] = MappingProxyType(
 SHIELDS: Mapping[str, str] = MappingProxyType(
     {
         "none": "no shield",
-        "distance": "the report's override as written: SLOWER in place of a lane change with somebody nearer than 20 m",
+        "distance": "the report's override as written: SLOWER in place of a lane change with a car nearer than 20 m",
         "rss": "gaps of RSS, else SLOWER",
         "ttc-ranking": "time to collision over four decisions, down the policy's ranking to the first action that "
         "keeps it, else SLOWER (ABZ's kind)",

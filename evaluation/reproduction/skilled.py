@@ -21,7 +21,7 @@ class SkillRun:
 
     Parameters
     ----------
-    batch : the environments, whose variant has skills.
+    batch : the environments, of a variant with skills.
     """
 
     def __init__(self, batch: ReportBatch) -> None:

@@ -43,7 +43,7 @@ _VERSIONED = {
     *("builtins", "dynamics", "mpc", "shield", "evaluation"),
     *("highway_env", "gymnasium", "stable_baselines3", "sb3_contrib", "torch", "numpy"),
 }
-"""Top-level modules whose source is not hashed, because `versions` identifies them."""
+"""Top-level modules without a hash of their source, because `versions` identifies them."""
 _SHORT = 40
 """Longest value that is shown in a message [characters]."""
 

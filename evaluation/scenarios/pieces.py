@@ -65,7 +65,7 @@ class Port:
 
     @classmethod
     def named(cls, name: str, frame: Frame) -> Port:
-        """A port whose nodes have its name."""
+        """A port with nodes of the same name."""
         return cls(frame, f"{name}.out", f"{name}.in")
 
 

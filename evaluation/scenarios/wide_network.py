@@ -18,7 +18,7 @@ _SLACK = 1.0
 
 
 class WideNetwork(RoadNetwork):  # type: ignore[misc]
-    """A `RoadNetwork` whose `get_closest_lane_index` has the same result, and is faster on many lanes.
+    """A `RoadNetwork` with a faster `get_closest_lane_index` on many lanes; its result is the same.
 
     highway-env's distance to a lane is the length of a path to it, so it is at least the distance to a circle around
     the lane. Lanes with a circle farther away than another lane are skipped.

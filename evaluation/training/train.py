@@ -221,7 +221,7 @@ class _Callbacks:
         return cls(counts, evaluation, checkpoints)
 
     def listed(self, options: TrainingOptions) -> CallbackList:
-        """The callbacks in order; the checkpoint comes after the callbacks whose state it saves."""
+        """The callbacks in order; the checkpoint comes after the callbacks with saved state."""
         executed = LearnFromExecuted() if options.learn_from == "executed" else None
         written = None if self.checkpoints is None else self.checkpoints.callback
         return CallbackList([each for each in (self.counts, executed, self.evaluation, written) if each is not None])

@@ -97,7 +97,7 @@ class SignedLaneObservation(gym.ObservationWrapper[Any, Any, Any]):
 
     Parameters
     ----------
-    env : an environment of highway-env, whose observations are a vector, a table, a picture or a dictionary.
+    env : an environment of highway-env; observations are a vector, a table, a picture or a dictionary.
 
     Raises
     ------

@@ -20,7 +20,7 @@ class CautiousTask:
     Parameters
     ----------
     task : the parking task.
-    ensemble : model whose members may disagree; it may differ from the planner's model.
+    ensemble : ensemble of models; it may differ from the planner's model.
     weight : weight of the members' standard deviations, summed over the observation's entries, at each evaluated state.
 
     Raises

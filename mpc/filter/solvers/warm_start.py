@@ -65,7 +65,7 @@ class WarmStart:
         self._slack, self._multipliers = x[self._inputs + self._states :].copy(), y
 
     def start(self, hold: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Initial unknowns and multipliers for a program whose rows are multiplied by `hold`."""
+        """Initial unknowns and multipliers for a program with rows multiplied by `hold`."""
         x = np.zeros(self._inputs + self._states + self._slack.size)
         x[self._inputs + self._states :] = self._slack
         return x, self._multipliers / hold

@@ -224,7 +224,7 @@ def test_a_search_among_drivers_refuses_unsupported_settings():
         drive_numbers(MERGE, RoadNumbers("bold"), np.zeros(3))
     with pytest.raises(ConfigError, match="no road network"):
         drive_numbers(get_setting("highway-fast"), RoadNumbers("bold"), np.zeros(RoadNumbers("bold").count))
-    with pytest.raises(ConfigError, match="go by seeds"):
+    with pytest.raises(ConfigError, match="are drawn from seeds"):
         crash_probability(MERGE, "faster", EXACT)
     assert has_network(MERGE)
     assert not has_network(get_setting("highway-fast"))

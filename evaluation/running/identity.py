@@ -158,6 +158,7 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     ----------
     before : the stored values.
     now : the values of the present run.
+
     Examples
     --------
     >>> differences({"seed": 5, "policy": {"file": "ab"}}, {"seed": 6, "policy": {"file": "cd"}})

@@ -136,6 +136,7 @@ def make_variants(
         `setting`, or without one on a straight highway.
     perceptions : values from `shield.config.PERCEPTIONS`.
     setting : the environment.
+
     Examples
     --------
     >>> [(v.door, v.mode) for v in make_variants(["none", "full"], ["env", "policy"])]

@@ -41,6 +41,7 @@ def order_of(counts: Mapping[str, int]) -> tuple[str, ...]:
 
     Roundabouts are at the ends, where vehicles turn; a turning circle replaces a missing one. Straights are spread
     evenly among the other kinds, which alternate.
+
     Examples
     --------
     >>> order_of({"roundabout": 1, "intersection": 1, "straight": 1})
@@ -75,6 +76,7 @@ def build_course(counts: Mapping[str, int] = SUBMAPS) -> Course:
     ------
     ConfigError
         If a count is no whole number from 0 on, a kind is unknown, or all counts are 0.
+
     Examples
     --------
     >>> course = build_course({"straight": 2})

@@ -78,6 +78,7 @@ class PerformanceLogger(gym.Wrapper[Any, Any, Any, Any]):
     ------
     ConfigError
         If a range is empty or not finite.
+
     Examples
     --------
     >>> from evaluation.settings import get_setting

@@ -103,6 +103,7 @@ class SignedLaneObservation(gym.ObservationWrapper[Any, Any, Any]):
     ------
     ConfigError
         If its observations have another form, such as the tuple of several agents.
+
     Examples
     --------
     >>> from evaluation.settings import get_setting

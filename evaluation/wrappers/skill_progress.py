@@ -23,6 +23,7 @@ class SkillProgress:
     ----------
     chosen : the skill of each environment, (e,).
     over : environments without a present skill, (e,); all of them at first.
+
     Examples
     --------
     >>> progress = SkillProgress([(1, 1), (2, 3, 3)], 2)

@@ -1,4 +1,4 @@
-"""Highways in real highway-env whose other vehicles are driven by hand, frame by frame, behind either wrapper."""
+"""Vehicles of highway-env driven by hand, frame by frame, and highways among them behind either wrapper."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from shield import Shield, ShieldConfig, ShieldedEnv
 
-__all__ = ["Drive", "Driven", "Outcome", "drive", "inputs"]
+__all__ = ["Drive", "Driven", "Outcome", "Placed", "drive", "inputs"]
 
 START, IDLE = 400.0, 1
 """Where the ego starts along the road [m]; the action that is proposed by default."""
@@ -36,6 +36,47 @@ class Driven(Vehicle):
         if self.drive is not None:
             self.drive(self, self.frame)
         self.frame += 1
+
+
+class Placed(Vehicle):
+    """A vehicle whose state is set by hand, after each frame or by `put`; a crashed one moves as in highway-env.
+
+    Parameters
+    ----------
+    size : length and width [m].
+    place : x [m], y [m], heading [rad] and speed [m/s] after a number of frames; None to keep the state until `put`.
+    """
+
+    route = None
+
+    def __init__(
+        self,
+        road: Any,
+        state: Sequence[float],
+        size: tuple[float, float] = (5.0, 2.0),
+        place: Callable[[int], Sequence[float]] | None = None,
+    ) -> None:
+        super().__init__(road, state[:2], state[2], state[3])
+        self.LENGTH, self.WIDTH = size
+        self.diagonal = float(np.hypot(*size))
+        self.place, self.frame = place, 0
+
+    def act(self, action: Any = None) -> None:
+        pass
+
+    def step(self, dt: float) -> None:
+        if self.place is None:
+            return
+        if self.crashed:
+            super().step(dt)
+            return
+        self.frame += 1
+        x, y, heading, speed = self.place(self.frame)
+        self.put((x, y), heading, speed)
+
+    def put(self, position: Sequence[float], heading: float, speed: float) -> None:
+        self.position, self.heading, self.speed = np.array(position, float), float(heading), float(speed)
+        self.on_state_update()
 
 
 def inputs(acceleration: float, floor: float = -np.inf) -> Drive:

@@ -5,7 +5,7 @@ import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
-from highway_env.vehicle.kinematics import Vehicle
+from hand_driven import Placed
 
 from dynamics.errors import SceneError
 from shield import ShieldedEnv
@@ -25,22 +25,8 @@ OTHER = (
     (345.2904663828233, 10.344974706962645, 0.0, 23.10226723405511),
     (349.91091982963434, 11.020467177238544, 2.540398528112465, 23.751554156764083),
 )
+SIZE = 2.6953449374879246, 0.9899474139252922
 LEFT, RIGHT = 0, 2
-
-
-class Placed(Vehicle):
-    """Is where it is put."""
-
-    LENGTH, WIDTH = 2.6953449374879246, 0.9899474139252922
-
-    def act(self, action=None):
-        pass
-
-    def step(self, dt):
-        self.place(OTHER[min(self.road.frame, len(OTHER) - 1)])
-
-    def place(self, at):
-        self.position, self.heading, self.speed = np.array(at[:2]), at[2], at[3]
 
 
 def driven(actions):
@@ -52,15 +38,8 @@ def driven(actions):
     ego.position, ego.heading, ego.speed = np.array(EGO[:2]), EGO[2], EGO[3]
     ego.on_state_update()
     ego.target_lane_index, ego.target_speed = ("0", "1", 2), 30.0
-    other = Placed(road, OTHER[0][:2], OTHER[0][2], OTHER[0][3])
-    road.vehicles.append(other)
-    road.frame, step, found = 0, road.step, []
-
-    def count(dt):
-        road.frame += 1
-        step(dt)
-
-    road.step = count
+    road.vehicles.append(Placed(road, OTHER[0], SIZE, lambda frame: OTHER[min(frame, len(OTHER) - 1)]))
+    found = []
     for action in actions:
         info = env.step(action)[-1]
         found.append((env.decisions[0], list(env.frame_decisions), info["shield"]))

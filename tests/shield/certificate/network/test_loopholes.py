@@ -9,7 +9,7 @@ import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
-from highway_env.vehicle.kinematics import Vehicle
+from hand_driven import Placed
 from highway_env.vehicle.objects import Obstacle, RoadObject
 
 from dynamics.road_networks.reachable.strips import SEVERAL
@@ -17,22 +17,6 @@ from shield import ShieldedEnv
 from shield.certificate.network.clearance import _is_shut
 
 FASTER, IDLE, SLOWER = 3, 1, 4
-
-
-class Placed(Vehicle):
-    """A vehicle that is where it is put."""
-
-    route = None
-
-    def act(self, action=None):
-        pass
-
-    def step(self, dt):
-        pass
-
-    def put(self, position, heading, speed):
-        self.position, self.heading, self.speed = np.array(position, float), float(heading), float(speed)
-        self.on_state_update()
 
 
 class Sign(RoadObject):
@@ -44,9 +28,8 @@ class Sign(RoadObject):
 
 def body(road, position, heading, speed, size=(5.0, 2.0)):
     """A vehicle of a length and a width [m]."""
-    out = Placed(road, position, heading, speed)
-    out.LENGTH, out.WIDTH = size
-    out.diagonal, out.collidable = math.hypot(*size), False
+    out = Placed(road, (*position, heading, speed), size)
+    out.collidable = False
     return out
 
 

@@ -10,10 +10,10 @@ import math
 
 import numpy as np
 import pytest
+from hand_driven import Placed
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.lane import CircularLane, StraightLane
 from highway_env.road.road import Road, RoadNetwork
-from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle
 
 from dynamics.road_networks.reachable.strips import Strip, add, empty_strips
@@ -56,24 +56,6 @@ class Network(AbstractEnv):
         return False
 
 
-class Scripted(Vehicle):
-    """Is after each frame where `place(frame)` says: x, y, heading, speed."""
-
-    place, frame, route = None, 0, None
-
-    def act(self, action=None):
-        pass
-
-    def step(self, dt):
-        if self.crashed:
-            super().step(dt)
-            return
-        self.frame += 1
-        x, y, self.heading, self.speed = self.place(self.frame)
-        self.position = np.array([x, y])
-        self.on_state_update()
-
-
 def shielded(builder, start, speed, frequency):
     """An ego at (lane, s) of a network, decided on in each frame."""
     kind = type("Built", (Network,), {"build": staticmethod(builder), "start": start, "speed": speed})
@@ -85,9 +67,7 @@ def shielded(builder, start, speed, frequency):
 def scripted(env, place):
     """A vehicle whose place in each frame is a function of the test."""
     road = env.unwrapped.road
-    x, y, heading, speed = place(0)
-    vehicle = Scripted(road, [x, y], heading, speed)
-    vehicle.place = place
+    vehicle = Placed(road, place(0), place=place)
     road.vehicles.append(vehicle)
     return vehicle
 

@@ -20,19 +20,6 @@ SWING = {
 HELD = {**SWING, "simulation_frequency": 5, "policy_frequency": 5}
 
 
-class Puppet(Vehicle):
-    """Goes straight on, and brakes."""
-
-    braking = 0.0
-
-    def act(self, action=None):
-        pass
-
-    def step(self, dt):
-        self.position = self.position + np.array([self.speed * dt, 0.0])
-        self.speed -= self.braking * dt
-
-
 def highway(config, at, heading, speed):
     env = ShieldedEnv(gym.make("highway-v0", config=config), "worst-case")
     env.reset(seed=0)
@@ -43,12 +30,13 @@ def highway(config, at, heading, speed):
 
 
 def test_a_newly_owned_lane_takes_no_plan_away():
-    """An attacker's scene: the plan stops in a lane that a wide follower's strip comes near, and that the ego does not
-    own before it touches it."""
+    """A scene from an attack: the plan stops in a lane that the reachable interval of a wide follower comes near. The
+    ego does not own that lane before it touches it."""
     env, road = highway(SWING, [300.0, 2.2896448920349495], 0.8249786296351735, 23.615081912096798)
-    follower = Puppet(road, [280.1857916132634, 4.186992402723296], 0.0, 22.226541557677034)
-    follower.WIDTH, follower.braking = 4.4347691260803845, 2.9
-    parked = Puppet(road, [337.73368292645114, 4.6305588548343986], 0.0, 0.0)
+    follower = Vehicle(road, [280.1857916132634, 4.186992402723296], 0.0, 22.226541557677034)
+    follower.WIDTH = 4.4347691260803845
+    follower.act({"acceleration": -2.9, "steering": 0.0})
+    parked = Vehicle(road, [337.73368292645114, 4.6305588548343986], 0.0, 0.0)
     parked.LENGTH = parked.WIDTH = 2.0
     road.vehicles += [follower, parked]
     for wheel in (0.8095393338343296, -0.5256011648418802, 0.5348920294685925):
@@ -60,7 +48,7 @@ def test_a_newly_owned_lane_takes_no_plan_away():
 def lost_at(speed):
     """The lateral room that a vehicle may still use up by turning, (2,), after a frame at rest, at 5 Hz."""
     env, road = highway(HELD, [300.0, 0.0], 0.0, 20.0)
-    other = Puppet(road, [200.0, 4.0], 0.0, speed)
+    other = Vehicle(road, [200.0, 4.0], 0.0, speed)
     road.vehicles.append(other)
     env.step(np.zeros(2))
     other.step = lambda dt: None

@@ -5,31 +5,13 @@ import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
-from highway_env.vehicle.kinematics import Vehicle
+from hand_driven import Placed
 from highway_env.vehicle.objects import Obstacle
 
 from shield import ShieldConfig, ShieldedEnv
 from shield.errors import ConfigError
 
 THROTTLE = {"vehicles_count": 0, "action": {"type": "ContinuousAction"}, "offroad_terminal": False, "duration": 40}
-
-
-class Follower(Vehicle):
-    """Is where the list of its places says, frame by frame: x, y, heading."""
-
-    def __init__(self, road, speed, size, places):
-        super().__init__(road, places[0][:2], places[0][2], speed)
-        self.LENGTH, self.WIDTH = size
-        self.diagonal = np.hypot(*size)
-        self.places = iter(places[1:])
-
-    def act(self, action=None):
-        pass
-
-    def step(self, dt):
-        *at, heading = next(self.places)
-        self.position, self.heading = np.array(at), heading
-        self.on_state_update()
 
 
 def driven(config, ego_at, follower, actions):
@@ -40,7 +22,8 @@ def driven(config, ego_at, follower, actions):
     ego.position, ego.heading, ego.speed = np.array(ego_at[:2]), ego_at[2], ego_at[3]
     ego.on_state_update()
     road.vehicles[:] = [ego]
-    road.vehicles.append(Follower(road, *follower))
+    speed, size, places = follower
+    road.vehicles.append(Placed(road, (*places[0], speed), size, lambda frame: (*places[frame], speed)))
     frames = []
     for action in actions:
         env.step(np.array(action, np.float32))

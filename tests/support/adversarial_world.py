@@ -94,11 +94,11 @@ class World:
         return min(gaps, default=np.inf)
 
     def kept(self) -> bool:
-        """The theorem: the ego keeps its buffer, or somebody has been seen to break a rule."""
+        """The theorem: the ego keeps its buffer, or the monitor has counted a violation."""
         return self.buffer_gap() >= -1e-6 or self.core.violations > 0
 
     def move_ego(self, command: FrameCommand | None) -> None:
-        """One frame of the ego: its own controllers, or what the core commands."""
+        """One frame of the ego: its own controllers, or the command of the core."""
         if command is None:
             lane = self.target.lane
             a = float(speed_control(self.ego[3], self.target.speed))

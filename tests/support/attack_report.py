@@ -1,4 +1,5 @@
-"""What the attacks find: `PYTHONPATH=tests/support python tests/support/attack_report.py slip trucks --runs 40`."""
+"""Table of the results of attacks: `PYTHONPATH=tests/support python tests/support/attack_report.py slip trucks
+--runs 40`."""
 
 from __future__ import annotations
 

@@ -108,7 +108,7 @@ def tailgater(p: Numbers) -> Scenario:
     }
 )  # fmt: skip
 def random_inputs(p: Numbers) -> Scenario:
-    """Everybody at random, in any size."""
+    """All vehicles at random, in any size."""
     rng = np.random.default_rng(int(p["seed"]))
     lanes = int(p["lanes"])
     ego_r = LANE * int(rng.integers(lanes))
@@ -139,7 +139,8 @@ def random_inputs(p: Numbers) -> Scenario:
     seconds=8.0,
 )  # fmt: skip
 def mixed_traffic(p: Numbers) -> Scenario:
-    """highway-env's own drivers close together, with obstacles, landmarks, and some who waver, swing or reverse."""
+    """highway-env's own drivers close together, with obstacles, landmarks, and vehicles that wander, swerve or
+    reverse."""
     rng = np.random.default_rng(int(p["seed"]))
     lanes = int(p["lanes"])
     ego_r = LANE * int(rng.integers(lanes))

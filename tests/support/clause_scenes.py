@@ -72,7 +72,7 @@ def extents(state) -> tuple[float, float]:
 
 
 def after(core, *scenes) -> Decision:
-    """What a core says of the last of some scenes."""
+    """The decision of a core in the last of some scenes."""
     for scene in scenes:
         answer = core.supervise(scene) if isinstance(core, ShieldCore) else core.filter(scene, np.zeros(2))
     return answer[1]

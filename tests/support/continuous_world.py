@@ -107,7 +107,7 @@ def random_continuous_world(
 
 
 def propose(rng: np.random.Generator, style: str, world: ContinuousWorld, frame: int) -> np.ndarray:
-    """What a reckless driver wants: (acceleration [m/s^2], front wheel angle [rad]) inside the actuators' box."""
+    """The proposal of a reckless driver: (acceleration [m/s^2], front wheel angle [rad]) inside the actuators' box."""
     wheel = np.pi / 4
     if style == "random":
         return np.array([rng.uniform(-5, 5), rng.uniform(-wheel, wheel)])

@@ -1,4 +1,4 @@
-"""An environment that remembers what reached it, and a policy that does what it is told: for what breaks."""
+"""An environment that records its actions, and a policy with given results, for tests of faults."""
 
 import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
@@ -8,7 +8,7 @@ SLOWER = 4
 
 
 class Spy(gym.Wrapper):
-    """Remembers what reached the environment."""
+    """Records the actions that reach the environment."""
 
     def __init__(self, env):
         super().__init__(env)
@@ -20,7 +20,7 @@ class Spy(gym.Wrapper):
 
 
 class Policy:
-    """Returns, or raises, what it is told to."""
+    """Returns, or raises, the given values."""
 
     def __init__(self, action):
         self.action = action

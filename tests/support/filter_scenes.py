@@ -49,7 +49,7 @@ def question(scene, proposal, settings, most=6, half=HALF):
 
 
 class Proposals:
-    """What policies of several kinds would do: full throttle, slow wandering, lane changes, uniform noise."""
+    """Proposals of several policies: full throttle, slow wandering, lane changes, uniform noise."""
 
     def __init__(self, kind, seed):
         self.kind, self.rng, self.kept = kind, np.random.default_rng(seed), np.zeros(2)

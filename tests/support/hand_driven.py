@@ -20,11 +20,11 @@ START, IDLE = 400.0, 1
 """Where the ego starts along the road [m]; the action that is proposed by default."""
 
 Drive = Callable[["Driven", int], None]
-"""Does to a vehicle what it does in a frame of that index, in place of its `act`."""
+"""Sets the action of a vehicle in the frame of that index, in place of its `act`."""
 
 
 class Driven(Vehicle):
-    """A vehicle that does what `drive` says, in place of its own `act`; without one it keeps its speed."""
+    """A vehicle whose action `drive` sets, in place of its own `act`; without `drive` it keeps its speed."""
 
     def __init__(self, road: Any, ahead: float, lane: int, speed: float, drive: Drive | None = None) -> None:
         super().__init__(road, [START + ahead, 4.0 * lane], 0.0, speed)

@@ -44,7 +44,7 @@ class InputPair(Pair):
         self.compare_all(rows[-1])
 
     def compare_all(self, rows):
-        """Everybody who is still there."""
+        """All vehicles that are still on the road."""
         f, _ = self.compare_bodies(rows)
         road, exact = self.env.road, self.simulator.exact
         others = [k for k, v in enumerate(road.vehicles) if v is not self.env.vehicle]

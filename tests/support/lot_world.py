@@ -46,7 +46,7 @@ def clearance_of(lot: Lot) -> tuple[float, float]:
 
 
 class Driver:
-    """Somebody who does not care: normalised actions, shape (2,) float32."""
+    """A careless driver: normalised actions, shape (2,) float32."""
 
     STYLES = ("noise", "throttle", "reverse", "bang", "ram")
 

@@ -41,7 +41,7 @@ class Pair:
         return terminated or truncated
 
     def compare_bodies(self, rows):
-        """Where everybody is who is still there, in which lane, and whether crashed; their columns of `f` and `g`."""
+        """The place, lane and crash flag of each remaining vehicle, and their columns of `f` and `g`."""
         road, f, g = self.env.road, self.simulator.worlds.f[0], self.simulator.worlds.g[0]
         there = [v in road.vehicles for v in self.bodies] + [True] * len(road.objects)
         assert [kind == OBSTACLE for kind in g[KIND, : len(self.bodies)]] == [
@@ -57,7 +57,7 @@ class Pair:
         return f, g
 
     def compare(self, rows):
-        """Everybody who is still there, and what they are about."""
+        """Each remaining vehicle, with its target commands."""
         f, g = self.compare_bodies(rows)
         road, exact, m = self.env.road, self.simulator.exact, len(self.env.road.vehicles)
         assert [self.numbers[self.key(v.target_lane_index)] for v in road.vehicles] == g[TARGET, :m].tolist(), self.name

@@ -1,4 +1,4 @@
-"""Roads, and what is observed of them, for the tests of perception."""
+"""Roads and their observations, for the tests of perception."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A highway for throttle and steering with nobody else on it."""
+"""A highway for throttle and steering without other vehicles."""
 
 from __future__ import annotations
 

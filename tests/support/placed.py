@@ -39,15 +39,14 @@ class Body(NamedTuple):
 
 @cache
 def shielded(env_id, door, **config):
-    """An environment whose episodes last, and to whose intersection nobody comes, behind one of `DOORS`; the same
-    object at each call."""
+    """An environment whose episodes last, without new vehicles at intersections, with one of `DOORS`; cached."""
     finite = {"spawn_probability": 0.0} if "intersection" in env_id else {}
     made = gym.make(env_id, config={"duration": _LASTS, **finite, **config}, max_episode_steps=_LASTS)
     return ShieldedEnv(made, DOORS[door])
 
 
 def placed(env_id, door, ego, others=(), driver=IDMVehicle):
-    """`shielded`, reset, with these bodies and nobody else; `driver` is the class of the others."""
+    """`shielded`, reset, with these bodies alone; `driver` is the class of the other vehicles."""
     env = shielded(env_id, door, **({"initial_vehicle_count": 1} if "intersection" in env_id else {}))
     env.reset(seed=0)
     road = env.unwrapped.road

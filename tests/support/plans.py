@@ -1,4 +1,4 @@
-"""Driving a plan in highway-env, to see what comes of it."""
+"""Execution of a plan in highway-env, to measure its result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Highways drawn at random for comparisons: configurations, and scenes that somebody has arranged."""
+"""Random highways for comparisons: configurations, and arranged scenes."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def place(body: Any, x: float, y: float, speed: float = 0.0, heading: float = 0.
 
 
 def random_scene(rng: np.random.Generator) -> gym.Env[Any, Any]:
-    """A live environment whose bodies somebody has put anywhere: level, overlapping, off the road, backwards."""
+    """A live environment with bodies placed anywhere: level, overlapping, off the road, backwards."""
     lanes, features = int(rng.integers(1, 5)), list(FEATURES)
     config = {
         "vehicles_count": int(rng.integers(1, 12)),
@@ -148,7 +148,7 @@ def random_scene(rng: np.random.Generator) -> gym.Env[Any, Any]:
 
 
 def _random_nature(rng: np.random.Generator, base: Any, body: Any, lanes: int) -> None:
-    """What a body wants, whether it has crashed, how large it is."""
+    """The target commands, crash flag and size of a body."""
     if hasattr(body, "target_lane_index") and rng.random() < 0.3:
         body.target_lane_index = ("0", "1", int(rng.integers(lanes)))
     if hasattr(body, "timer"):

@@ -174,7 +174,7 @@ def _told(old: pd.DataFrame, new: pd.DataFrame, row: int) -> str:
 
 
 def recorded() -> pd.DataFrame:
-    """What was decided at the revision that wrote the file."""
+    """The decisions at the revision that wrote the file."""
     return pd.read_parquet(FILE)
 
 

@@ -1,4 +1,4 @@
-"""The road networks of every environment, and what `RoadGeometry` makes of them."""
+"""The road networks of every environment, and their `RoadGeometry`."""
 
 from __future__ import annotations
 

@@ -144,7 +144,7 @@ class _Stage:
     # -- what they do -----------------------------------------------------------------------------------------
 
     def _choose(self) -> None:
-        """Where each rider goes: as near to what it wants as the monitor lets it."""
+        """Place each rider as near to its target as the monitor permits."""
         riders, rng = self.riders(), self.rng
         now = [rider.row for rider in riders]
         with _Ahead(self, riders):
@@ -169,7 +169,7 @@ class _Stage:
             rider.going = row
 
     def _named(self, riders: list[RoadRider], rows: list[FloatArray]) -> np.ndarray[Any, Any]:
-        """Who would be named for being there, or touch another, (n,)."""
+        """Mask of the riders that would be named at their place, or touch another, (n,)."""
         door, out = self.door, np.zeros(len(riders), bool)
         for rider, row in zip(riders, rows, strict=True):
             rider.put(row)
@@ -271,7 +271,7 @@ class _Ahead:
 
 
 def _place(base: Any, rng: np.random.Generator) -> None:
-    """Riders of any size in the place of whoever is there."""
+    """Riders of any size in place of the present vehicles."""
     road, ego = base.road, base.vehicle
     lanes, own = list(road.network.lanes_dict()), ego.lane_index
     road.vehicles, road.objects = [ego], []

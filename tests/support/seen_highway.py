@@ -1,4 +1,4 @@
-"""A highway of which a shield sees nothing but what is observed, and what it decides there."""
+"""A highway that a shield knows from observations alone, and the decisions there."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def record(decision):
 
 
 def driven(shielded, env, seed, decisions, seen=lambda obs: obs):
-    """What is decided from one reset on, until the episode is over."""
+    """The decisions from one reset to the end of the episode."""
     obs, found = env.reset(seed=seed)[0], []
     for _ in range(decisions):
         action, _ = shielded.predict(seen(obs))
@@ -48,7 +48,7 @@ def driven(shielded, env, seed, decisions, seen=lambda obs: obs):
 
 
 def driven_in_parallel(shielded, env, seed, decisions, told=True):
-    """What is decided in each environment of a VecEnv, from one episode to the next."""
+    """The decisions in each environment of a VecEnv, across episodes."""
     env.seed(seed)
     obs, found, starts, ends = env.reset(), [], np.ones(env.num_envs, bool), 0
     for _ in range(decisions):

@@ -205,7 +205,7 @@ class Truck(IDMVehicle):
 
 
 class Polite(IDMVehicle):
-    """Counts what others gain and lose."""
+    """Counts the gains and losses of other vehicles."""
 
     POLITENESS, LANE_CHANGE_MIN_ACC_GAIN, LANE_CHANGE_MAX_BRAKING_IMPOSED = 0.7, 0.05, 4.0
 

@@ -1,4 +1,4 @@
-"""Traffic whose way of driving no compiled simulator knows."""
+"""Traffic with a driver model that no compiled simulator supports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is accepted short of the certificate."""
+"""Mutants that accept plans without the certificate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Many shields at once: what they would overlook if a line were missing."""
+"""Mutants of the compiled batch of shields."""
 
 from __future__ import annotations
 

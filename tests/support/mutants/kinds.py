@@ -1,4 +1,4 @@
-"""What a mutant is, and where the files and the tests are that mutants name."""
+"""The definition of a mutant, and the files and tests that mutants name."""
 
 from __future__ import annotations
 

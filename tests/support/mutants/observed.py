@@ -1,4 +1,4 @@
-"""Scenes of observations: what the shield would overlook if a line were missing."""
+"""Mutants of scenes from observations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who owes the ego its distance, and who may come in."""
+"""Mutants of obligations of followers, and of vehicles that may enter."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The certificate on road networks: what it would let through if a line were missing."""
+"""Mutants of the certificate on road networks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Verification by simulation: what it would let through if a line were missing."""
+"""Mutants of the verification by simulation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Observations alone: what a shield without an environment, or with a grid, would overlook if a line were missing."""
+"""Mutants of shields from observations alone, without an environment or with a grid."""
 
 from __future__ import annotations
 

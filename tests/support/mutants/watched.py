@@ -1,4 +1,4 @@
-"""What the monitor notices, and what is remembered."""
+"""Mutants of the monitor and the memory."""
 
 from __future__ import annotations
 

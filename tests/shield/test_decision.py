@@ -27,7 +27,7 @@ CELLS = {
     "intersection, simulated": ("intersection-v2", {"duration": 8}, EXACT),
     "parking": ("parking-v0", {"duration": 20}, None),
 }
-DOORS = ("env", "policy", "actions")
+WRAPPERS = ("env", "policy", "actions")
 TOLD = ("overridden", "intervention", "reason", "tier", "margin", "frames_overridden", "guarantee")
 
 
@@ -84,7 +84,7 @@ def steps(name, door, seed):
     [
         (name, door)
         for name in CELLS
-        for door in DOORS
+        for door in WRAPPERS
         # `Shield` of actions alone is refused where every frame is verified.
         if not (door == "actions" and name in ("highway, simulated inputs", "roundabout"))
     ],

@@ -12,10 +12,10 @@ from highway_env.vehicle.controller import MDPVehicle
 
 from shield import ShieldConfig, ShieldedEnv
 
-__all__ = ["DOORS", "Body", "placed", "shielded"]
+__all__ = ["SHIELDS", "Body", "placed", "shielded"]
 
-DOORS = {"exact": ShieldConfig.simulated_traffic(), "worst case": "worst-case"}
-"""Settings of the door that simulates the traffic, and of the one that counts on anything that it may do."""
+SHIELDS = {"exact": ShieldConfig.simulated_traffic(), "worst case": "worst-case"}
+"""Settings of simulated traffic, and of the worst case."""
 _LASTS = 1_000
 """No episode is over for its length [s, decisions]."""
 
@@ -39,10 +39,10 @@ class Body(NamedTuple):
 
 @cache
 def shielded(env_id, door, **config):
-    """An environment whose episodes last, without new vehicles at intersections, with one of `DOORS`; cached."""
+    """An environment whose episodes last, without new vehicles at intersections, with one of `SHIELDS`; cached."""
     finite = {"spawn_probability": 0.0} if "intersection" in env_id else {}
     made = gym.make(env_id, config={"duration": _LASTS, **finite, **config}, max_episode_steps=_LASTS)
-    return ShieldedEnv(made, DOORS[door])
+    return ShieldedEnv(made, SHIELDS[door])
 
 
 def placed(env_id, door, ego, others=(), driver=IDMVehicle):

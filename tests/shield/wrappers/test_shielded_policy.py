@@ -199,10 +199,10 @@ class Old:
         return 3
 
 
-DOORS = [lambda p, env: Shield(p, env=env), lambda p, env: ShieldedEnv(env, policy=p)]
+WRAPPERS = [lambda p, env: Shield(p, env=env), lambda p, env: ShieldedEnv(env, policy=p)]
 
 
-@pytest.mark.parametrize("door", DOORS, ids=["policy", "env"])
+@pytest.mark.parametrize("door", WRAPPERS, ids=["policy", "env"])
 @pytest.mark.parametrize(
     ("policy", "message"),
     [

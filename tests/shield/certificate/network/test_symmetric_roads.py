@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
-from placed import DOORS, Body, placed
+from placed import SHIELDS, Body, placed
 
 from evaluation.measuring.rectangles import separation
 
@@ -128,9 +128,9 @@ def crossing(door, quarters):
 def test_an_ego_with_the_right_of_way_is_not_held_back():
     """A quarter turn matters at the intersection: where the other vehicle yields, the ego has no reason to brake."""
     assert min(crossing("exact", 1)) > 8.0 > min(crossing("exact", 0))
-    assert DOORS.keys() == TOLERANCE.keys()
+    assert SHIELDS.keys() == TOLERANCE.keys()
 
 
-@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize("door", SHIELDS)
 def test_turning_the_scene_changes_no_drive(door):
     np.testing.assert_allclose(crossing(door, 2), crossing(door, 0), atol=1e-6)

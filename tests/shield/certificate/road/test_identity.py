@@ -7,11 +7,11 @@ from hand_driven import Driven, drive, inputs
 from highway_env.vehicle.objects import Obstacle
 
 RATES = pytest.mark.parametrize("hz", [5, 15, 30])
-DOORS = pytest.mark.parametrize("door", ["env", "policy"])
+WRAPPERS = pytest.mark.parametrize("door", ["env", "policy"])
 
 
 @RATES
-@DOORS
+@WRAPPERS
 def test_a_distant_car_that_appears_and_vanishes_hides_no_violation(hz, door):
     """The leader brakes at 60 m/s^2 while a car 400 m away is put in and out of the road's list."""
 
@@ -36,7 +36,7 @@ def test_a_distant_car_that_appears_and_vanishes_hides_no_violation(hz, door):
 
 
 @RATES
-@DOORS
+@WRAPPERS
 @pytest.mark.parametrize("kind", [Driven, Obstacle])
 def test_a_body_that_appears_in_the_way_on_a_highway_is_a_violator(hz, door, kind):
     """15 m ahead of an ego at 25 m/s no body may appear; 200 m ahead, or in another lane, it may."""

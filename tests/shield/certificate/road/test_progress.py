@@ -8,7 +8,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import ControlledVehicle
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from placed import DOORS, Body, placed, shielded
+from placed import SHIELDS, Body, placed, shielded
 from slowly import later
 
 from dynamics.highway_simulator.layout import CRASHED, LANE, SPEED, X, Y
@@ -171,14 +171,14 @@ FAR = {"exact": 64.0, "worst case": 55.0}
 """The ego goes before a vehicle that is not further along its lane than this [m]."""
 
 
-@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize("door", SHIELDS)
 @FEW
 @given(st.sampled_from([FROM_WEST, FROM_EAST]), st.floats(0.0, 1.0))
 def test_a_gap_that_is_large_enough_is_taken(door, lane, share):
     assert crosses(door, lane, share * FAR[door]) == 0
 
 
-@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize("door", SHIELDS)
 @FEW
 @given(st.floats(0.0, 1.0))
 def test_the_ego_waits_at_a_gap_that_is_too_small(door, share):
@@ -186,7 +186,7 @@ def test_the_ego_waits_at_a_gap_that_is_too_small(door, share):
     assert crosses(door, FROM_EAST, 69.0 + 4.0 * share) > 0
 
 
-@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize("door", SHIELDS)
 def test_the_ego_waits_at_a_roundabout_only_for_a_near_vehicle(door):
     """A vehicle on the far side of the ring is no reason to wait; a vehicle about to pass the entry is."""
     far, near = Body(("nx", "ne", 1), 0.0, 10.0, "nxr"), Body(("we", "sx", 1), 12.0, 10.0, "nxr")
@@ -199,4 +199,4 @@ def test_the_ego_waits_at_a_roundabout_only_for_a_near_vehicle(door):
 
 def test_the_worst_case_needs_a_larger_gap_than_simulated_traffic():
     """The gaps from 36 m to 48 m before the crossing point are taken only with known driver models."""
-    assert [crosses(door, FROM_EAST, 62.0) > 0 for door in DOORS] == [False, True]
+    assert [crosses(door, FROM_EAST, 62.0) > 0 for door in SHIELDS] == [False, True]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +12,7 @@ from rich.table import Table
 
 from evaluation.commands.falsifying import falsify_command
 from evaluation.commands.names import DEMO_SETTING
+from evaluation.commands.options_command import one_option_a_field
 from evaluation.commands.shared_options import (
     EnvConfig,
     EnvId,
@@ -34,18 +36,23 @@ __all__ = ["add_certifying"]
 _out, _err = Console(), Console(stderr=True, highlight=False)
 
 
-def certify_command(
-    output: Annotated[Path, typer.Argument(help="Folder for the episodes; a stopped run in it is continued.")],
-    setting: NamedSetting = None,
-    env_id: EnvId = None,
-    env_config: EnvConfig = None,
-    policy: Annotated[str, typer.Option(help="Name of a policy, or an SB3 .zip.")] = "faster",
-    episodes: Annotated[int, typer.Option(min=1, help="Number of episodes, all shielded.")] = 10_000,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the first episode; the others follow.")] = 1_000_000,
-    jobs: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
-    config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
-    simulator: Annotated[str, typer.Option(help=f"One of {', '.join(SIMULATORS)}.")] = SIMULATORS[0],
-) -> None:
+@dataclass(frozen=True)
+class CertifyOptions:
+    """The options of `shield certify`."""
+
+    output: Annotated[Path, typer.Argument(help="Folder for the episodes; a stopped run in it is continued.")]
+    setting: NamedSetting = None
+    env_id: EnvId = None
+    env_config: EnvConfig = None
+    policy: Annotated[str, typer.Option(help="Name of a policy, or an SB3 .zip.")] = "faster"
+    episodes: Annotated[int, typer.Option(min=1, help="Number of episodes, all shielded.")] = 10_000
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first episode; the others follow.")] = 1_000_000
+    jobs: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1
+    config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None
+    simulator: Annotated[str, typer.Option(help=f"One of {', '.join(SIMULATORS)}.")] = SIMULATORS[0]
+
+
+def certify_command(options: CertifyOptions) -> None:
     """Drive very many shielded episodes, and write a bound on their crash rate.
 
     Parts of 1,000 episodes are stored as they finish. The same command continues a stopped
@@ -53,72 +60,82 @@ def certify_command(
     certificate.md: crashes with their seeds, a Clopper-Pearson bound on their rate, the
     least clearance, violations by the traffic, fallbacks.
     """
-    check_policy(policy)
-    check_jobs(jobs)
-    check_name("simulator", simulator, SIMULATORS)
-    given = None if config is None else ShieldConfig.named(config)
-    where = ask_setting(setting, env_id, env_config)
+    check_policy(options.policy)
+    check_jobs(options.jobs)
+    check_name("simulator", options.simulator, SIMULATORS)
+    given = None if options.config is None else ShieldConfig.named(options.config)
+    where = ask_setting(options.setting, options.env_id, options.env_config)
     from rich.progress import Progress
 
     from evaluation.report.table import write_table
     from evaluation.running.certify import Asked, certify, page
     from evaluation.running.records import config_on
 
-    asked = Asked(where, policy, episodes, seed, config_on(where, given), simulator)
+    asked = Asked(where, options.policy, options.episodes, options.seed, config_on(where, given), options.simulator)
     with Progress(console=_err, disable=not _err.is_terminal, transient=True) as bar:
-        task = bar.add_task(f"{policy} on {where.name}", total=len(asked.parts()))
+        task = bar.add_task(f"{options.policy} on {where.name}", total=len(asked.parts()))
 
         def told(part: pd.DataFrame) -> None:
             bar.advance(task)
             if not _err.is_terminal or part["crashed"].any():
                 _err.print(f"seeds {part['seed'].min()} to {part['seed'].max()}: {part['crashed'].sum()} crashed")
 
-        found = certify(asked, output, jobs, told)
-    write_table(found, output / "episodes.parquet")
+        found = certify(asked, options.output, options.jobs, told)
+    write_table(found, options.output / "episodes.parquet")
     text = page(found)
-    (output / "certificate.md").write_text(text, encoding="utf-8")
+    (options.output / "certificate.md").write_text(text, encoding="utf-8")
     typer.echo(text)
 
 
-def rare_command(
-    setting: Annotated[str, typer.Option(help="Named environment (see `shield settings`).")] = DEMO_SETTING,
-    policy: Annotated[str, typer.Option(help="Name of a policy, an SB3 .zip, or `any` (exact sensor).")] = "faster",
+@dataclass(frozen=True)
+class RareOptions:
+    """The options of `shield rare`."""
+
+    setting: Annotated[str, typer.Option(help="Named environment (see `shield settings`).")] = DEMO_SETTING
+    policy: Annotated[str, typer.Option(help="Name of a policy, an SB3 .zip, or `any` (exact sensor).")] = "faster"
     samples: Annotated[
         int | None, typer.Option(min=2, help="Episodes of a level; by default 2,000, and 200 with a noisy sensor.")
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the estimate.")] = 0,
-    config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
-    sensor: Annotated[str, typer.Option(help="Sensor of the policy, as in `shield evaluate`.")] = "exact",
+    ] = None
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the estimate.")] = 0
+    config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None
+    sensor: Annotated[str, typer.Option(help="Sensor of the policy, as in `shield evaluate`.")] = "exact"
     perception: Annotated[
         str, typer.Option(help="Source of the shield's scenes with a noisy sensor: simulator or observation.")
-    ] = "observation",
-    jobs: Annotated[int, typer.Option(help="Processes, with a noisy sensor; -1 for one per core.")] = -1,
-) -> None:
+    ] = "observation"
+    jobs: Annotated[int, typer.Option(help="Processes, with a noisy sensor; -1 for one per core.")] = -1
+
+
+def rare_command(options: RareOptions) -> None:
     """Estimate how often an episode ends in a crash, without counting.
 
     The estimate comes from subset simulation over the scenes. An event that happens once in
     10,000 episodes takes some 8,000 of them; counting takes 250,000 for the same error. With a
     noisy sensor every step is random, and the estimate comes from splitting episodes near a crash.
     """
-    if policy != ANY:
-        check_policy(policy)
-    check_jobs(jobs)
-    check_sensor(sensor)
-    check_modes([], [perception])
-    where = get_setting(setting)
+    if options.policy != ANY:
+        check_policy(options.policy)
+    check_jobs(options.jobs)
+    check_sensor(options.sensor)
+    check_modes([], [options.perception])
+    where = get_setting(options.setting)
     import numpy as np
 
     from evaluation.falsification.falsify import crash_probability
 
-    shield_config = ShieldConfig() if config is None else ShieldConfig.load(config)
-    if sensor != "exact":
+    shield_config = ShieldConfig() if options.config is None else ShieldConfig.load(options.config)
+    if options.sensor != "exact":
         from evaluation.running.driver import DriverSpec
         from evaluation.running.records import Variant
 
-        variant = Variant() if shield_config.mode == "none" else Variant("env", shield_config, perception)
-        _rare_through(DriverSpec(where, policy, variant, sensor=sensor), samples or 200, seed, jobs)
+        variant = Variant() if shield_config.mode == "none" else Variant("env", shield_config, options.perception)
+        _rare_through(
+            DriverSpec(where, options.policy, variant, sensor=options.sensor),
+            options.samples or 200,
+            options.seed,
+            options.jobs,
+        )
         return
-    found = crash_probability(where, policy, shield_config, samples or 2_000, seed)
+    found = crash_probability(where, options.policy, shield_config, options.samples or 2_000, options.seed)
     table = Table("level", "time to collision [s]", "probability", "moves taken")
     for k, level in enumerate(found.levels):
         moves = "" if np.isnan(level.accepted) else f"{level.accepted:.0%}"
@@ -188,7 +205,7 @@ def attack_command(
 
 def add_certifying(app: typer.Typer) -> None:
     """Add these commands to the application."""
-    app.command("certify")(certify_command)
+    app.command("certify")(one_option_a_field(certify_command, CertifyOptions))
     app.command("falsify")(falsify_command)
-    app.command("rare")(rare_command)
+    app.command("rare")(one_option_a_field(rare_command, RareOptions))
     app.command("attack")(attack_command)

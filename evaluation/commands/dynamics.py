@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import process_time
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
+from evaluation.commands.options_command import one_option_a_field
 from shield.errors import ConfigError
+
+if TYPE_CHECKING:
+    from evaluation.measuring.dynamics_study import TimedRound
 
 __all__ = ["dynamics_app"]
 
@@ -30,70 +34,80 @@ DATA_FILE = "transitions.npz"
 _ALL: list[str] = []
 
 
-@dynamics_app.command()
-def fit(
-    env: Annotated[str | None, typer.Option(help="Environment to learn in; parking-v0 without --setting.")] = None,
+@dataclass(frozen=True)
+class FitOptions:
+    """The options of `shield dynamics fit`."""
+
+    env: Annotated[str | None, typer.Option(help="Environment to learn in; parking-v0 without --setting.")] = None
     setting: Annotated[
         str | None,
         typer.Option(help="Learn throttle and steering at highway speeds in this setting, for --model of `evaluate`."),
-    ] = None,
-    variant: Annotated[str | None, typer.Option(help="Training variant (see `evaluate`); rounds by default.")] = None,
-    transitions: Annotated[int | None, typer.Option(help="Transitions with random actions.")] = None,
-    rounds: Annotated[int | None, typer.Option(help="Rounds of driving by a planner with the model so far.")] = None,
-    per_round: Annotated[int | None, typer.Option(help="Transitions in each of these rounds.")] = None,
-    members: Annotated[int | None, typer.Option(help="Members of the ensemble.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 0,
-    tensorboard: Annotated[str | None, typer.Option(help="Folder for TensorBoard's event files.")] = None,
-    output: Annotated[Path, typer.Option(help="Folder of the model and its data.")] = Path("runs", "dynamics"),
-) -> None:
+    ] = None
+    variant: Annotated[str | None, typer.Option(help="Training variant (see `evaluate`); rounds by default.")] = None
+    transitions: Annotated[int | None, typer.Option(help="Transitions with random actions.")] = None
+    rounds: Annotated[int | None, typer.Option(help="Rounds of driving by a planner with the model so far.")] = None
+    per_round: Annotated[int | None, typer.Option(help="Transitions in each of these rounds.")] = None
+    members: Annotated[int | None, typer.Option(help="Members of the ensemble.")] = None
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 0
+    tensorboard: Annotated[str | None, typer.Option(help="Folder for TensorBoard's event files.")] = None
+    output: Annotated[Path, typer.Option(help="Folder of the model and its data.")] = Path("runs", "dynamics")
+
+
+def fit(options: FitOptions) -> None:
     """Collect driving, fit a model, and write it.
 
     Prints for each round the open-loop position error [m] after 1 and 15 decisions, on held-out
     episodes of all its data, and on the round's new driving before the fit to it.
     """
     from dynamics.learned.models.files import save_model
-    from dynamics.learned.training.open_loop import open_loop
     from dynamics.learned.training.variants import variant as named
-    from evaluation.measuring.dynamics_study import HORIZON, learn
+    from evaluation.measuring.dynamics_study import learn
 
-    given = {"transitions": transitions, "rounds": rounds, "per_round": per_round}
-    if setting is not None:
-        others = {"env": env, "variant": variant, "members": members, "tensorboard": tensorboard, **given}
+    given = {"transitions": options.transitions, "rounds": options.rounds, "per_round": options.per_round}
+    if options.setting is not None:
+        others = {name: getattr(options, name) for name in ("env", "variant", "members", "tensorboard")} | given
         wrong = [name for name, value in others.items() if value is not None and name != "transitions"]
         if wrong:
             raise ConfigError(f"--setting goes with --transitions, --seed and --output; not with {', '.join(wrong)}")
-        _fit_driving(setting, seed, transitions, output)
+        _fit_driving(options.setting, options.seed, options.transitions, options.output)
         return
-    env, variant = env or "parking-v0", variant or "rounds"
-    setup = named(variant).seeded(seed)
+    env, variant = options.env or "parking-v0", options.variant or "rounds"
+    setup = named(variant).seeded(options.seed)
     setup = replace(setup, data=replace(setup.data, **{k: v for k, v in given.items() if v is not None}))
-    if members is not None:
-        setup = replace(setup, model=replace(setup.model, members=members))
-    table = Table("round", "data", "driving s", "fitting s", "held out 1", "15", "new 1", "15")
-    last: Any = None
+    if options.members is not None:
+        setup = replace(setup, model=replace(setup.model, members=options.members))
     seconds, cpu = 0.0, process_time()
-    for timed in learn(setup, env, progress=sys.stderr.isatty(), tensorboard=tensorboard):
-        now = timed.round
-        cells = open_loop(now.fit.model, now.fit.held_out, HORIZON).median[[0, -1]].tolist()
-        if last is not None:
-            first = len(last.round.data)
-            new = now.data.take(slice(first, None))
-            cells += open_loop(last.round.fit.model, new, HORIZON).median[[0, -1]].tolist()
+    table = Table("round", "data", "driving s", "fitting s", "held out 1", "15", "new 1", "15")
+    last: TimedRound | None = None
+    for timed in learn(setup, env, progress=sys.stderr.isatty(), tensorboard=options.tensorboard):
+        table.add_row(*_row(timed, last))
         last, seconds = timed, seconds + timed.driving + timed.fitting
-        table.add_row(
-            str(now.number),
-            str(len(now.data)),
-            f"{timed.driving:.1f}",
-            f"{timed.fitting:.1f}",
-            *(f"{cell:.4f}" for cell in cells),
-        )
     _out.print(table)
+    assert last is not None
     cpu = process_time() - cpu
-    notes = {"environment": env, "variant": variant, "seed": seed, "seconds": round(seconds, 1), "cpu": round(cpu, 1)}
+    notes = {"environment": env, "variant": variant, "seed": options.seed}
+    notes |= {"seconds": round(seconds, 1), "cpu": round(cpu, 1)}
     notes |= {"transitions": len(last.round.data), "origin": dict(last.round.data.origin)}
-    save_model(last.round.fit.model, output, notes)
-    last.round.data.save(output / DATA_FILE)
-    _out.print(f"wrote {output} ({seconds:.1f} s, {cpu:.1f} s of it on a core)")
+    save_model(last.round.fit.model, options.output, notes)
+    last.round.data.save(options.output / DATA_FILE)
+    _out.print(f"wrote {options.output} ({seconds:.1f} s, {cpu:.1f} s of it on a core)")
+
+
+dynamics_app.command("fit")(one_option_a_field(fit, FitOptions))
+
+
+def _row(timed: TimedRound, last: TimedRound | None) -> list[str]:
+    """The cells of a round: counts, times, and open-loop errors [m] on held-out and on new driving."""
+    from dynamics.learned.training.open_loop import open_loop
+    from evaluation.measuring.dynamics_study import HORIZON
+
+    now = timed.round
+    errors = open_loop(now.fit.model, now.fit.held_out, HORIZON).median[[0, -1]].tolist()
+    if last is not None:
+        new = now.data.take(slice(len(last.round.data), None))
+        errors += open_loop(last.round.fit.model, new, HORIZON).median[[0, -1]].tolist()
+    counts = [str(now.number), str(len(now.data)), f"{timed.driving:.1f}", f"{timed.fitting:.1f}"]
+    return [*counts, *(f"{error:.4f}" for error in errors)]
 
 
 def _fit_driving(setting: str, seed: int, transitions: int | None, output: Path) -> None:

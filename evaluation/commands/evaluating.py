@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
 from evaluation.commands.names import DEMO_POLICY, DEMO_SETTING, EVALUATION_SEED
+from evaluation.commands.options_command import one_option_a_field
 from evaluation.commands.reporting import Form, check_output, check_steps_path, report
 from evaluation.commands.shared_options import (
     EnvConfig,
@@ -36,6 +38,9 @@ from evaluation.names import (
 from shield.config import MODES, PERCEPTIONS, ShieldConfig
 from shield.errors import ConfigError
 
+if TYPE_CHECKING:
+    from evaluation.experiments import Experiment
+
 __all__ = ["add_evaluating"]
 
 _out, _err = Console(), Console(stderr=True, highlight=False)
@@ -50,41 +55,44 @@ class Door(StrEnum):
     ALL = "all"
 
 
-def evaluate_command(
+@dataclass(frozen=True)
+class EvaluateOptions:
+    """The options of `shield evaluate`."""
+
     setting: Annotated[
         list[str] | None,
         typer.Option(help=f"Named environment (repeatable, or a comma list; see `shield settings`) [{DEMO_SETTING}]."),
-    ] = None,
-    env_id: EnvId = None,
-    env_config: EnvConfig = None,
+    ] = None
+    env_id: EnvId = None
+    env_config: EnvConfig = None
     policy: Annotated[
         list[str] | None,
         typer.Option(
             help=f"{', '.join(BASELINES)}, a reference policy, or an SB3 .zip (repeatable, or a comma list)"
             f" [{DEMO_POLICY}; random with --env-id]."
         ),
-    ] = None,
+    ] = None
     shield: Annotated[
         list[str] | None,
         typer.Option(
             help=f"Shield modes: {', '.join(MODES)} (repeatable, or a comma list)."
             " By default none and full; none alone if the road is not supported."
         ),
-    ] = None,
+    ] = None
     door: Annotated[
         Door,
         typer.Option(
             help="env: ShieldedEnv, around the environment; policy: Shield, around the policy;"
             " actions: Shield that chooses actions without supervision of frames; all: each of them."
         ),
-    ] = Door.ENV,
+    ] = Door.ENV
     perception: Annotated[
         str,
         typer.Option(
             help=f"Source of the shield's scenes: {', '.join(PERCEPTIONS)} (or both). The simulator's true state, or"
             " of the traffic only the policy's observations."
         ),
-    ] = PERCEPTIONS[0],
+    ] = PERCEPTIONS[0]
     sensor: Annotated[
         str,
         typer.Option(
@@ -93,39 +101,39 @@ def evaluate_command(
             " added to the observation, such as"
             f" normalised-0.5+confidence+intent, of {', '.join(CHANNEL_NAMES)}."
         ),
-    ] = "exact",
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes for each row.")] = 100,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the first episode; the others follow.")] = EVALUATION_SEED,
-    jobs: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
+    ] = "exact"
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes for each row.")] = 100
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first episode; the others follow.")] = EVALUATION_SEED
+    jobs: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1
     algorithm: Annotated[
         str | None,
         typer.Option(help=f"Algorithm of a .zip, if the file does not contain it: {', '.join(sorted(ALGORITHMS))}."),
-    ] = None,
+    ] = None
     model: Annotated[
         str,
         typer.Option(
             help=f"Dynamics model of mpc, and of the predictive filter of the shield at door env: {', '.join(MODELS)},"
             " or a folder of `shield dynamics fit --setting`. The shield always verifies with the bicycle."
         ),
-    ] = MODELS[0],
+    ] = MODELS[0]
     config: Annotated[
         Path | None,
         typer.Option(help="Shield settings: a TOML file (see `shield config`), simulated, or worst-case."),
-    ] = None,
+    ] = None
     buffer: Annotated[
         list[str] | None,
         typer.Option(
             help="Buffer along the road [m], one row for each value (repeatable, or a comma list); default --config's."
         ),
-    ] = None,
+    ] = None
     output: Annotated[
         Path | None,
         typer.Option(
             help="Write the episodes to this file (.csv or .parquet), and beside it the summary"
             " and the comparison, as NAME-summary and NAME-comparison."
         ),
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")] = False,
+    ] = None
+    force: Annotated[bool, typer.Option("--force", help="Overwrite files that exist.")] = False
     resume: Annotated[
         bool,
         typer.Option(
@@ -133,99 +141,104 @@ def evaluate_command(
             help="Continue a stopped run with this --output, or extend a finished one by"
             " episodes, policies, settings or shield modes.",
         ),
-    ] = False,
+    ] = False
     shard: Annotated[
         str | None,
         typer.Option(help="i/n: drive every n-th episode only, from the i-th on; `shield merge` merges the n files."),
-    ] = None,
+    ] = None
     steps: Annotated[
         Path | None,
         typer.Option(help="Write one row for each decision to this file (.parquet).", show_default=False),
-    ] = None,
+    ] = None
     engine: Annotated[
         str,
         typer.Option(help="processes of this machine (see --jobs), or ray: tasks of a Ray cluster (the extra `ray`)."),
-    ] = ENGINES[0],
+    ] = ENGINES[0]
     address: Annotated[
         str | None,
         typer.Option(help="Address of the Ray cluster; auto: the cluster of this machine; local: start one [auto]."),
-    ] = None,
-    markdown: Annotated[bool, typer.Option("--markdown", help="Print Markdown tables.")] = False,
-    latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX tables, for the package booktabs.")] = False,
+    ] = None
+    markdown: Annotated[bool, typer.Option("--markdown", help="Print Markdown tables.")] = False
+    latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX tables, for the package booktabs.")] = False
     simulator: Annotated[
         str,
         typer.Option(
             help=f"One of {', '.join(SIMULATORS)}. The compiled highway is equal to the last bit;"
             " auto takes it where supported."
         ),
-    ] = SIMULATORS[0],
-) -> None:
+    ] = SIMULATORS[0]
+
+
+def evaluate_command(options: EvaluateOptions) -> None:
     """Drive episodes and print crash rates, returns, speeds, overrides and latencies.
 
     All rows drive the same seeds. Rates are in percent with 95 % intervals, speeds in m/s,
     distances and margins in m, latencies in ms per decision.
     """
-    form = Form.of(markdown, latex)
-    doors = [each.value for each in Door if each is not Door.ALL] if door is Door.ALL else [door.value]
+    form = Form.of(options.markdown, options.latex)
+    experiment = _experiment(options)
+    from evaluation.experiments.experiment import Stopped
+
+    try:
+        result = experiment.run()
+    except Stopped as stopped:
+        if len(stopped.result.episodes):
+            report(stopped.result.episodes, form=form)
+        kept = "" if options.output is None else "; --resume goes on from there"
+        _err.print(f"{stopped}{kept}")
+        raise typer.Exit(130) from None
+    report(result.episodes, options.output, form, dict(result.made))
+
+
+def _experiment(options: EvaluateOptions) -> Experiment:
+    """The experiment that the options describe. All options are checked before slow imports."""
     # The demo's policy reads the demo's observations only, so other environments get a random policy.
-    policies = ask_policies(policy or [DEMO_POLICY if env_id is None else "random"])
-    sensors, perceptions, modes = split([sensor]), split([perception]), None if shield is None else split(shield)
+    policies = ask_policies(options.policy or [DEMO_POLICY if options.env_id is None else "random"])
+    modes = None if options.shield is None else split(options.shield)
+    sensors, perceptions = split([options.sensor]), split([options.perception])
     check_modes(modes or [], perceptions)
     for each in sensors:
         check_sensor(each)
-    check_name("simulator", simulator, SIMULATORS)
-    if algorithm is not None:
-        algorithm_named(algorithm)
-    if not Path(model).is_dir():
-        check_name("model", model, MODELS, ", or the folder of learned models")
-    check_jobs(jobs)
-    if resume and output is None:
-        raise ConfigError("--resume goes with --output")
-    if output is not None:
-        check_output(output, force, resume)
-    if steps is not None:
-        check_steps_path(steps, force, resume)
-    shield_config = None if config is None else ShieldConfig.named(config)
-    settings = ask_settings(setting, env_id, env_config)
+    check_name("simulator", options.simulator, SIMULATORS)
+    if options.algorithm is not None:
+        algorithm_named(options.algorithm)
+    if not Path(options.model).is_dir():
+        check_name("model", options.model, MODELS, ", or the folder of learned models")
+    check_jobs(options.jobs)
+    _check_files(options)
+    config = None if options.config is None else ShieldConfig.named(options.config)
+    settings = ask_settings(options.setting, options.env_id, options.env_config)
 
     from evaluation.experiments import Experiment
-    from evaluation.experiments.experiment import Stopped
     from evaluation.learning.normalised_model import statistics_beside
 
     for name in policies:
         if name.endswith(".zip") and (statistics := statistics_beside(Path(name))):
             _err.print(f"{name}: observations are normalised by {statistics.name} beside it")
-    asked = Experiment(
+    same = ("episodes", "seed", "algorithm", "model", "simulator", "jobs", "output", "resume", "steps", "engine")
+    return Experiment(
         policies,
         settings,
         modes,
-        doors,
+        [each.value for each in Door if each is not Door.ALL] if options.door is Door.ALL else [options.door.value],
         perceptions,
         sensors,
-        episodes,
-        seed,
-        shield_config,
-        algorithm,
-        model,
-        simulator,
-        jobs,
-        output,
-        resume,
-        shard_of(shard),
-        lengths(buffer or []),
-        steps,
-        engine,
-        address,
+        config=config,
+        shard=shard_of(options.shard),
+        buffer=lengths(options.buffer or []),
+        address=options.address,
+        **{name: getattr(options, name) for name in same},
     )
-    try:
-        result = asked.run()
-    except Stopped as stopped:
-        if len(stopped.result.episodes):
-            report(stopped.result.episodes, form=form)
-        kept = "" if output is None else "; --resume goes on from there"
-        _err.print(f"{stopped}{kept}")
-        raise typer.Exit(130) from None
-    report(result.episodes, output, form, dict(result.made))
+
+
+def _check_files(options: EvaluateOptions) -> None:
+    """Raise a ConfigError for an output that cannot be written or resumed."""
+    if options.resume and options.output is None:
+        raise ConfigError("--resume goes with --output")
+    if options.output is not None:
+        check_output(options.output, options.force, options.resume)
+    if options.steps is not None:
+        check_steps_path(options.steps, options.force, options.resume)
 
 
 def episodes_command(
@@ -283,6 +296,6 @@ def merge_command(
 
 def add_evaluating(app: typer.Typer) -> None:
     """Add these commands to the application."""
-    app.command("evaluate")(evaluate_command)
+    app.command("evaluate")(one_option_a_field(evaluate_command, EvaluateOptions))
     app.command("episodes")(episodes_command)
     app.command("merge")(merge_command)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,14 +25,17 @@ _out = Console()
 _EPISODES = {"idm": 5_000, "bold": 5_000, "network": 500}
 
 
-def falsify_command(
-    output: Annotated[Path, typer.Argument(help="JSON file for the worst episode; `shield replay --find` drives it.")],
-    setting: NamedSetting = None,
-    env_id: EnvId = None,
-    env_config: EnvConfig = None,
+@dataclass(frozen=True)
+class FalsifyOptions:
+    """The options of `shield falsify`."""
+
+    output: Annotated[Path, typer.Argument(help="JSON file for the worst episode; `shield replay --find` drives it.")]
+    setting: NamedSetting = None
+    env_id: EnvId = None
+    env_config: EnvConfig = None
     policy: Annotated[
         str, typer.Option(help="Name of a policy, an SB3 .zip, or `any`: its actions are searched too.")
-    ] = "any",
+    ] = "any"
     episodes: Annotated[
         int | None,
         typer.Option(
@@ -39,9 +43,9 @@ def falsify_command(
             help="Number of episodes, 5,000 by default. With idm approximate, and at least 500. With other drivers the"
             " largest number; on road networks at least 50, 500 by default.",
         ),
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the search, and on road networks of its scenes.")] = 0,
-    config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
+    ] = None
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the search, and on road networks of its scenes.")] = 0
+    config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None
     drivers: Annotated[
         str,
         typer.Option(
@@ -49,9 +53,11 @@ def falsify_command(
             " up to the first find. bold: worst-case compliant (straight highways with two lanes, road networks); on"
             " road networks also wild, random throttle and steering, and mixed."
         ),
-    ] = "idm",
-    jobs: Annotated[int, typer.Option(help="Processes with drivers other than idm; -1 for one per core.")] = -1,
-) -> None:
+    ] = "idm"
+    jobs: Annotated[int, typer.Option(help="Processes with drivers other than idm; -1 for one per core.")] = -1
+
+
+def falsify_command(options: FalsifyOptions) -> None:
     """Search scenes and actions for the shielded episode that comes nearest to a crash.
 
     With idm: subset simulation over the numbers of a reset and the policy's actions; on road
@@ -61,22 +67,22 @@ def falsify_command(
     road networks: subset simulation over their inputs and the ego's proposals, for an intrusion by
     a vehicle without a recorded violation (exit status 1).
     """
-    given = None if config is None else ShieldConfig.load(config)
-    check_jobs(jobs)
-    check_writable(output)
-    check_name("drivers", drivers, TRAFFIC)
-    if policy != ANY:
-        check_policy(policy)
-    where = ask_setting(setting, env_id, env_config)
-    if drivers != "idm":
-        if policy != ANY:
-            raise ConfigError(f"among {drivers} drivers the policy is {ANY!r}, not {policy!r}")
-        _among(output, where, drivers, given, episodes, seed, jobs)
+    given = None if options.config is None else ShieldConfig.load(options.config)
+    check_jobs(options.jobs)
+    check_writable(options.output)
+    check_name("drivers", options.drivers, TRAFFIC)
+    if options.policy != ANY:
+        check_policy(options.policy)
+    where = ask_setting(options.setting, options.env_id, options.env_config)
+    if options.drivers != "idm":
+        if options.policy != ANY:
+            raise ConfigError(f"among {options.drivers} drivers the policy is {ANY!r}, not {options.policy!r}")
+        _among(options.output, where, options.drivers, given, options.episodes, options.seed, options.jobs)
         return
     from evaluation.falsification.falsify import falsify
 
-    found = falsify(where, policy, given or ShieldConfig(), episodes or _EPISODES["idm"], seed)
-    found.find.save(output)
+    found = falsify(where, options.policy, given or ShieldConfig(), options.episodes or _EPISODES["idm"], options.seed)
+    found.find.save(options.output)
     table = Table("", f"{found.episodes} episodes")
     table.add_row("median clearance as drawn \\[m]", f"{found.median:.3f}")
     table.add_row("smallest clearance found \\[m]", f"{found.find.clearance:.3f}")
@@ -85,7 +91,7 @@ def falsify_command(
     if found.lost is not None:
         table.add_row("as drawn, in which nothing verified at first", f"{100 * found.lost:.1f} %")
     _out.print(table)
-    _out.print(f"wrote {output}")
+    _out.print(f"wrote {options.output}")
 
 
 def _among(

@@ -7,11 +7,50 @@ from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, fields
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import typer
 
-__all__ = ["options_of", "with_options"]
+__all__ = ["one_option_a_field", "options_of", "with_options"]
+
+
+Options = TypeVar("Options")
+
+
+def one_option_a_field(command: Callable[[Options], None], kind: type[Options]) -> Callable[..., None]:
+    """A typer command whose options and arguments are the fields of a dataclass.
+
+    Parameters
+    ----------
+    command : takes an instance of the dataclass; its docstring is the help of the command.
+    kind : the dataclass. Each annotation is `Annotated[type, typer.Option(...)]` or `typer.Argument(...)`.
+    """
+    hints = get_type_hints(kind, include_extras=True)
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    parameters = [
+        inspect.Parameter(each.name, keyword, default=_default(each), annotation=hints[each.name])
+        for each in fields(kind)  # type: ignore[arg-type]
+    ]
+
+    def run(**given: Any) -> None:
+        command(kind(**given))
+
+    return _signed(run, command, parameters)
+
+
+def _default(one: Field[Any]) -> Any:
+    """The default of a field as a default of a parameter."""
+    return inspect.Parameter.empty if one.default is MISSING else one.default
+
+
+def _signed(
+    run: Callable[..., None], command: Callable[..., None], parameters: list[inspect.Parameter]
+) -> Callable[..., None]:
+    """`run` with the name and docstring of a command, and with these parameters as its signature."""
+    run.__doc__, run.__name__ = command.__doc__, command.__name__
+    run.__annotations__ = {each.name: each.annotation for each in parameters}
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    return run
 
 
 def options_of(kind: type, help: Mapping[str, str]) -> list[inspect.Parameter]:
@@ -58,12 +97,7 @@ def with_options(command: Callable[..., None], more: list[inspect.Parameter]) ->
     def run(**given: Any) -> None:
         command(**given)
 
-    run.__doc__, run.__name__ = command.__doc__, command.__name__
-    run.__annotations__ = {each.name: each.annotation for each in whole}
-    run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-        [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in whole]
-    )
-    return run
+    return _signed(run, command, [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in whole])
 
 
 def _asked(hint: Any) -> Any:

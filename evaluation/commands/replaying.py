@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,6 +11,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from evaluation.commands.options_command import one_option_a_field
 from evaluation.commands.shared_options import EnvConfig, EnvId, NamedSetting, ask_setting
 from evaluation.names import check_policy
 from shield.config import ShieldConfig
@@ -27,61 +29,67 @@ _POLICY = "faster"
 """Default policy for a seed."""
 
 
-def replay_command(
+@dataclass(frozen=True)
+class ReplayOptions:
+    """The options of `shield replay`."""
+
     what: Annotated[
         str | None,
         typer.Argument(
             metavar="[SEED|RUN]",
             help="Seed of an episode, or a file of `shield evaluate --output`, or a folder of `shield certify`.",
         ),
-    ] = None,
-    number: Annotated[int | None, typer.Option("--seed", min=0, help="Seed of the episode.")] = None,
-    episode: Annotated[int | None, typer.Option(min=0, help="Row of a run's table, from 0 on.")] = None,
-    setting: NamedSetting = None,
-    env_id: EnvId = None,
-    env_config: EnvConfig = None,
+    ] = None
+    number: Annotated[int | None, typer.Option("--seed", min=0, help="Seed of the episode.")] = None
+    episode: Annotated[int | None, typer.Option(min=0, help="Row of a run's table, from 0 on.")] = None
+    setting: NamedSetting = None
+    env_id: EnvId = None
+    env_config: EnvConfig = None
     policy: Annotated[
         str | None, typer.Option(help=f"Name of a policy, or an SB3 .zip [{_POLICY}; that of the run].")
-    ] = None,
-    config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None,
+    ] = None
+    config: Annotated[Path | None, typer.Option(help="Shield settings, TOML (see `shield config`).")] = None
     page: Annotated[
         Path | None,
         typer.Option("--html", help="Write a page with the episode; by default beside the file of a run."),
-    ] = None,
-    film: Annotated[Path | None, typer.Option(help="Write a .gif of the episode's end.")] = None,
-    find: Annotated[Path | None, typer.Option(help="Find of `shield falsify`, instead of a seed.")] = None,
-) -> None:
+    ] = None
+    film: Annotated[Path | None, typer.Option(help="Write a .gif of the episode's end.")] = None
+    find: Annotated[Path | None, typer.Option(help="Find of `shield falsify`, instead of a seed.")] = None
+
+
+def replay_command(options: ReplayOptions) -> None:
     """Drive one shielded episode in highway-env itself, and print one line for each override with
     its explanation.
 
     With --html, or for a run, writes one HTML file that opens offline: the episode frame by
     frame, and a simulation of each refused proposal.
     """
-    if sum(each is not None for each in (what, number, find)) != 1:
+    if sum(each is not None for each in (options.what, options.number, options.find)) != 1:
         raise ConfigError("have either the seed of an episode, or a run with --episode, or --find with the file of one")
-    if find is not None:
-        _replay_find(find)
+    if options.find is not None:
+        _replay_find(options.find)
         return
-    seed = number if what is None else int(what) if what.isdecimal() else None
+    seed = options.number if options.what is None else int(options.what) if options.what.isdecimal() else None
     if seed is None:
-        assert what is not None
-        if any(each is not None for each in (setting, env_id, env_config, config, film)):
+        assert options.what is not None
+        others = (options.setting, options.env_id, options.env_config, options.config, options.film)
+        if any(each is not None for each in others):
             raise ConfigError("a run says itself what was driven; leave --setting, --env-id, --config and --film out")
-        _replay_run(what, episode, policy, page)
+        _replay_run(options.what, options.episode, options.policy, options.page)
         return
-    if episode is not None:
+    if options.episode is not None:
         raise ConfigError("--episode goes with a run, which is a file; the seed says the episode")
-    policy = policy or _POLICY
+    policy = options.policy or _POLICY
     check_policy(policy)
-    loaded = None if config is None else ShieldConfig.named(config)
-    where = ask_setting(setting, env_id, env_config)
+    loaded = None if options.config is None else ShieldConfig.named(options.config)
+    where = ask_setting(options.setting, options.env_id, options.env_config)
     from evaluation.replay.collect import Asked
     from evaluation.replay.html import page_path
     from evaluation.report.video import film_end, film_path
     from evaluation.running.records import config_on, variant_for
 
-    film = None if film is None else film_path(film)
-    page = None if page is None else page_path(page)
+    film = None if options.film is None else film_path(options.film)
+    page = None if options.page is None else page_path(options.page)
     shield_config = config_on(where, loaded)
     _drive(Asked(where, policy, variant_for(shield_config, where), seed), page)
     if film is not None:
@@ -171,4 +179,4 @@ def _replay_find(path: Path) -> None:
 
 def add_replaying(app: typer.Typer) -> None:
     """Add the command to the application."""
-    app.command("replay")(replay_command)
+    app.command("replay")(one_option_a_field(replay_command, ReplayOptions))

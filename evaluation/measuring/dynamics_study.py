@@ -35,7 +35,7 @@ __all__ = [
     "HORIZON",
     "TEST",
     "TRUTH",
-    "Timed",
+    "TimedRound",
     "Trial",
     "errors",
     "fresh_driving",
@@ -59,7 +59,7 @@ _TEST_SEED = 900_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Timed:
+class TimedRound:
     """A round of learning, with its times [s]: driving (with planning and distilling), and fitting."""
 
     round: Round
@@ -102,8 +102,8 @@ def driver(env: Any) -> Callable[[LinearStructuredModel, Transitions], Predicts]
 
 def learn(
     setup: Variant, env_id: str = "parking-v0", progress: bool = False, tensorboard: str | None = None
-) -> Iterator[Timed]:
-    """Collect data and fit models as a variant specifies, and yield each round as `Timed`.
+) -> Iterator[TimedRound]:
+    """Collect data and fit models as a variant specifies, and yield each round as `TimedRound`.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def learn(
         )
         begin = perf_counter()
         for each in done:
-            yield Timed(each, perf_counter() - begin - each.fit.seconds, each.fit.seconds)
+            yield TimedRound(each, perf_counter() - begin - each.fit.seconds, each.fit.seconds)
             begin = perf_counter()
     finally:
         env.close()

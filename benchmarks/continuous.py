@@ -23,8 +23,8 @@ from stable_baselines3 import PPO
 from dynamics.scenes.scene import SceneReader
 from dynamics.vehicle.actuators import Actuators
 from shield import ShieldConfig
-from shield.pipelines.decide import Core
-from shield.pipelines.inputs import Inputs
+from shield.pipelines.decide import DecisionCore
+from shield.pipelines.inputs import InputPipeline
 
 CONFIG = {"action": {"type": "ContinuousAction"}, "simulation_frequency": 20, "policy_frequency": 20, "duration": 30}
 
@@ -35,8 +35,8 @@ def measure(decisions: int, throttle: bool) -> tuple[list[float], list[float], l
     net = {"net_arch": {"pi": [256, 256], "vf": [256, 256]}}
     policy = PPO("MlpPolicy", env, policy_kwargs=net, device="cpu", seed=0)
     actuators = Actuators.of(env.unwrapped.action_type)  # type: ignore[attr-defined]
-    procedure, reader = Inputs(ShieldConfig(), actuators), SceneReader(env)
-    core = Core(procedure)
+    procedure, reader = InputPipeline(ShieldConfig(), actuators), SceneReader(env)
+    core = DecisionCore(procedure)
     passed: list[float] = []
     filtered: list[float] = []
     own: list[float] = []

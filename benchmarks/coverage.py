@@ -19,7 +19,7 @@ from shield import PerceptionConfig
 from shield.perception.perceiving import ObservationPerception
 from shield.perception.perception_settings import BOUNDS
 from shield.perception.sighting import decode
-from shield.perception.tracking import sides
+from shield.perception.tracking import bounds_of
 
 SIGMA = np.full(4, 2.0)
 
@@ -51,7 +51,7 @@ class Count:
             self.steps += len(surprise.scores)
             self.missed += np.stack([surprise.scores < -before[0], surprise.scores > before[1]]).sum(axis=1)
         self._last, self._bounds = tracks, perception.bounds
-        low, high = sides(tracks, self._bounds)
+        low, high = bounds_of(tracks, self._bounds)
         truth, shown = (self._absolute(perception, rows) for rows in (sensor.exact, sensor.shown(1.0)))
         apart = np.abs(tracks.seen[:, None] - shown[None]).max(axis=2)
         known = (tracks.missed == 0) & (apart.min(axis=1, initial=np.inf) < 1e-6)

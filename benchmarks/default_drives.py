@@ -19,7 +19,7 @@ from what_it_drives import config_of, env_ids
 from evaluation.measuring.statistics import wilson
 from evaluation.running.batch_episodes import Many
 from evaluation.running.episodes import run_paired
-from evaluation.running.records import Variant
+from evaluation.running.records import ShieldVariant
 from evaluation.settings import TRAFFIC, Setting
 from shield.config import ShieldConfig
 from shield.decision import Verification
@@ -39,7 +39,7 @@ class Row(NamedTuple):
     shielded: pd.DataFrame
 
 
-def episodes(setting: Setting, policy: str, variant: Variant, seeds: range, jobs: int) -> pd.DataFrame:
+def episodes(setting: Setting, policy: str, variant: ShieldVariant, seeds: range, jobs: int) -> pd.DataFrame:
     """Episodes bare or behind the default shield: side by side where they are compiled so, else one by one."""
     config = ShieldConfig(mode="none") if variant.door == "none" else variant.config
     try:
@@ -63,8 +63,8 @@ def rows(env_ids: Sequence[str], traffic: str | None, seeds: range, jobs: int) -
         if shield.verification not in (Verification.SIMULATED, Verification.WORST_CASE) or "multi-agent" in env_id:
             continue
         for policy in POLICIES:
-            bare = episodes(setting, policy, Variant(), seeds, jobs)
-            behind = episodes(setting, policy, Variant("env", shield.config), seeds, jobs)
+            bare = episodes(setting, policy, ShieldVariant(), seeds, jobs)
+            behind = episodes(setting, policy, ShieldVariant("env", shield.config), seeds, jobs)
             yield Row(env_id, shield.verification, policy, bare, behind)
 
 

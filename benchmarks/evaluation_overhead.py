@@ -26,7 +26,7 @@ import numpy as np
 from evaluation import Experiment
 from evaluation.running.driver import Driver, DriverSpec
 from evaluation.running.named_policies import start_episode
-from evaluation.running.records import Variant, make_variants
+from evaluation.running.records import ShieldVariant, make_variants
 from evaluation.settings import get_setting
 from evaluation.threads import one_thread
 
@@ -40,7 +40,7 @@ FASTER = 8
 """So many times as many episodes are driven where that is compiled: what a run costs once is spread over more."""
 
 
-def bare(setting: str, policy: str, simulator: str, variants: list[Variant], seeds: range) -> None:
+def bare(setting: str, policy: str, simulator: str, variants: list[ShieldVariant], seeds: range) -> None:
     """The same episodes without records."""
     for variant in variants:
         driver = Driver(DriverSpec(get_setting(setting), policy, variant, simulator=simulator))

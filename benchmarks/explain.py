@@ -20,9 +20,9 @@ import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 
 from shield import ShieldConfig, ShieldedEnv
-from shield.filters.network import RoadDoor
-from shield.filters.simulated.predicted_scene import ExactScene
-from shield.pipelines.decide import Core
+from shield.filters.network import NetworkFilter
+from shield.filters.simulated.predicted_scene import PredictedScene
+from shield.pipelines.decide import DecisionCore
 
 INPUTS = {"action": {"type": "ContinuousAction"}}
 DOORS: dict[str, tuple[str, dict[str, Any], ShieldConfig]] = {
@@ -70,15 +70,15 @@ def drive(name: str, ask: bool, steps: int = STEPS) -> tuple[list[float], list[f
 
 def without_sources() -> Any:
     """Have nothing kept for explanations, and return what undoes it."""
-    kept = Core.__init__, ExactScene.kept, RoadDoor._kept
+    kept = DecisionCore.__init__, PredictedScene.kept, NetworkFilter._kept
 
     def core(self: Any, procedure: Any, explain: Any = None) -> None:
         kept[0](self, procedure, None)
 
-    Core.__init__, ExactScene.kept, RoadDoor._kept = core, lambda *_, **__: None, lambda *_: None  # type: ignore
+    DecisionCore.__init__, PredictedScene.kept, NetworkFilter._kept = core, lambda *_, **__: None, lambda *_: None  # type: ignore
 
     def undo() -> None:
-        Core.__init__, ExactScene.kept, RoadDoor._kept = kept  # type: ignore[method-assign]
+        DecisionCore.__init__, PredictedScene.kept, NetworkFilter._kept = kept  # type: ignore[method-assign]
 
     return undo
 

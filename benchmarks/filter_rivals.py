@@ -42,7 +42,7 @@ from mpc import FilterProblem, FilterResult, FilterSettings, PredictiveFilter
 from mpc.filter.program.condensed import Program
 from mpc.filter.program.road_step import rollout_function
 from mpc.filter.program.sparse import SparseProgram
-from mpc.filter.solvers.daqp import Answer, Solver
+from mpc.filter.solvers.daqp import QpSolution, Solver
 from mpc.filter.solvers.guess import brake_guess, shifted
 from mpc.filter.solvers.osqp import OsqpSolver
 
@@ -69,7 +69,7 @@ class Beside(Solver):
         """As the filter asks."""
         self.osqp.begin(frames)
 
-    def solve(self, program: Program) -> Answer:
+    def solve(self, program: Program) -> QpSolution:
         """DAQP's answer; the times of both are kept."""
         if id(program) not in self.twins:
             twin = SparseProgram(self.osqp.settings, program.occupancy.shape[1], False, False)

@@ -25,8 +25,8 @@ from dynamics.state import BoolArray, FloatArray, IntArray
 from evaluation.settings import get_setting
 from evaluation.wrappers import SENSORS, SensorNoise
 from shield import ShieldedEnv
-from shield.perception.certainty import within
-from shield.perception.intent import Habits, lane_chances, wishes
+from shield.perception.certainty import probability_within
+from shield.perception.intent import LaneChangeModel, lane_chances, lane_change_gains
 from shield.perception.scenes import ObservedScenes
 from shield.perception.sighting import decode
 from shield.perception.tracking import Tracks
@@ -94,7 +94,7 @@ def watch(names: Iterable[str], seeds: Iterable[int]) -> tuple[dict[str, Seen], 
                 perception = scenes[name].perception
                 x, y, heading, speed = perception.ego[:4]
                 state = np.array([x, y, speed * np.cos(heading), speed * np.sin(heading)])
-                wished = wishes(perception.tracks, state, centers)
+                wished = lane_change_gains(perception.tracks, state, centers)
                 seen[name].wished.extend(wished[perception.tracks.missed == 0])
                 rows = rows_of(scenes[name])
                 seen[name].places.extend(close[int(r) - 1].position - [ego.position[0], 0.0] for r in rows)
@@ -191,12 +191,12 @@ def score(chances: FloatArray, did: Outcome, dt: float) -> list[float]:
     return [right.mean(), a, b, (a + b) / 2, brier, float(np.mean(np.array(leads) > 0)), float(np.mean(leads))]
 
 
-def fit(seen: dict[str, Seen], centers: FloatArray, did: dict[str, Outcome]) -> Habits:
-    def habits(x: FloatArray) -> Habits:
+def fit(seen: dict[str, Seen], centers: FloatArray, did: dict[str, Outcome]) -> LaneChangeModel:
+    def habits(x: FloatArray) -> LaneChangeModel:
         share = 1 / (1 + np.exp(-x[3:]))
         reach, stray, fade = np.exp(x[:3]).tolist()
         eager, idle, doubt = share.tolist()
-        return Habits(reach, stray, eager, idle, fade, doubt)
+        return LaneChangeModel(reach, stray, eager, idle, fade, doubt)
 
     everybody = {name: (each.all_tracks(), np.stack(each.wished)) for name, each in seen.items()}
 
@@ -276,7 +276,7 @@ def main() -> None:
     print(f"\n| sensor | of being within {NEAR:g} m | vehicle-frames | said | was |\n| :-- | :-- | --: | --: | --: |")
     for name, each in seen.items():
         tracks, truth = each.all_tracks(), np.stack(each.places)
-        reliability(name, within(tracks, NEAR), distance_of(tracks, truth) <= NEAR, np.linspace(0, 1, 11))
+        reliability(name, probability_within(tracks, NEAR), distance_of(tracks, truth) <= NEAR, np.linspace(0, 1, 11))
 
 
 def distance_of(tracks: Tracks, truth: FloatArray) -> FloatArray:

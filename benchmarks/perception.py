@@ -16,7 +16,7 @@ import numpy as np
 
 from dynamics.scenes.scene import SceneReader
 from evaluation.wrappers import SENSORS, SensorNoise
-from shield.perception.scenes import ObservedScenes, sense
+from shield.perception.scenes import ObservedScenes, observe_now
 
 SHOWN = 15
 """Frames that show so many others count."""
@@ -37,7 +37,7 @@ def measure(env: gym.Env[Any, Any], episodes: int) -> tuple[list[float], int]:
             start = perf_counter()
             state.read()
             read = perf_counter()
-            seen = sense(env)
+            seen = observe_now(env)
             observed = perf_counter()
             scenes.show(seen)
             scenes.read()

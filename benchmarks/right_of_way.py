@@ -11,9 +11,9 @@ from dataclasses import replace
 from evaluation.measuring.statistics import wilson
 from evaluation.settings import setting_of
 from shield import ShieldedEnv
-from shield.certificate.network.monitor import Breach
+from shield.certificate.network.monitor import NetworkRule
 from shield.certificate.network.others import default_on
-from shield.filters.network import RoadDoor
+from shield.filters.network import NetworkFilter
 
 EPISODES, FIRST, LONGEST = 25, 5_200, 40
 ROADS = (("roundabout-v1", 3), ("merge-v1", 3), ("intersection-v2", 2))
@@ -27,7 +27,7 @@ def main() -> None:
         config = default_on(raw.unwrapped)
         env = ShieldedEnv(raw, config.replace(assumptions=replace(config.assumptions, gives_way=True)))
         door, broken, rules = env.door, 0, Counter[str]()
-        assert isinstance(door, RoadDoor)
+        assert isinstance(door, NetworkFilter)
         for seed in range(FIRST, FIRST + EPISODES):
             env.reset(seed=seed)
             for _ in range(LONGEST):
@@ -35,7 +35,7 @@ def main() -> None:
                 if terminated or truncated:
                     break
             found = door.watch.by_rule
-            broken += Breach.RIGHT_OF_WAY in found
+            broken += NetworkRule.RIGHT_OF_WAY in found
             rules.update({str(rule): count for rule, count in found.items()})
         share = wilson(broken, EPISODES)
         print(f"{env_id}: {broken} of {EPISODES} episodes [{share.low:.0%}, {share.high:.0%}]; {dict(rules)}")

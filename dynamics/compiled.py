@@ -24,11 +24,11 @@ from numba import njit
 from numba.extending import overload
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
-__all__ = ["by_type", "compiled", "inlined", "made_from", "numbers_of", "uncounted"]
+__all__ = ["compiled", "dispatch_by_field_type", "kernel_inline", "kernel_no_refcount", "row_as_tuple", "source_digest"]
 
 F = TypeVar("F", bound=Callable[..., Any])
-numbers_of: Any = to_fixed_tuple
-"""`numbers_of(row, n)` returns the first n numbers of an array as a tuple, inside a kernel. It fills a NamedTuple."""
+row_as_tuple: Any = to_fixed_tuple
+"""`row_as_tuple(row, n)` returns the first n numbers of an array as a tuple, inside a kernel. It fills a NamedTuple."""
 _MADE_FROM: dict[Any, str] = {}
 
 
@@ -37,7 +37,7 @@ def compiled(function: F) -> F:
     return _kernel(function)
 
 
-def uncounted(function: F) -> F:
+def kernel_no_refcount(function: F) -> F:
     """Compile a kernel that allocates no arrays, without reference counts of its array arguments, and without the GIL.
 
     Reference counts take some 10 ns for each array and call, which is more than the work of a small kernel of one
@@ -46,13 +46,13 @@ def uncounted(function: F) -> F:
     return _kernel(function, _nrt=False, nogil=True)
 
 
-def inlined(function: F) -> F:
-    """Compile as `uncounted` does, and inline the kernel into its callers. For small kernels that run once for each
-    vehicle."""
+def kernel_inline(function: F) -> F:
+    """Compile as `kernel_no_refcount` does, and inline the kernel into its callers. For small kernels that run once
+    for each vehicle."""
     return _kernel(function, _nrt=False, nogil=True, forceinline=True)
 
 
-def by_type(kernels: Mapping[type, Any], field: str) -> Callable[[F], F]:
+def dispatch_by_field_type(kernels: Mapping[type, Any], field: str) -> Callable[[F], F]:
     """Dispatch to one of several kernels with the same parameters, by the class of a field of the first argument, a
     NamedTuple. numba chooses the kernel when it compiles the caller. The decorated function itself has an empty body.
 
@@ -110,7 +110,7 @@ def _readable(load: Callable[[], dict[Any, Any]]) -> Callable[[], dict[Any, Any]
     return index
 
 
-def made_from(kernel: Any) -> str:
+def source_digest(kernel: Any) -> str:
     """Digest of the sources of a kernel [hex]. The machine code in the cache is current where its stamp equals this
     digest."""
     return _MADE_FROM[kernel]

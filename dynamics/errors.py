@@ -15,7 +15,7 @@ __all__ = [
     "PolicyError",
     "SceneError",
     "ShieldError",
-    "perhaps",
+    "nearest_name_hint",
 ]
 
 
@@ -24,7 +24,7 @@ _NEAR = 0.7
 (`difflib.SequenceMatcher.ratio`)."""
 
 
-def perhaps(name: object, valid: Iterable[str]) -> str:
+def nearest_name_hint(name: object, valid: Iterable[str]) -> str:
     """Suggestion at the end of a message about an unknown name: the nearest valid name, or an empty text if none is
     near.
 

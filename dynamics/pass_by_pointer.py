@@ -1,9 +1,9 @@
 """Pass NamedTuples of arrays between kernels by pointer instead of by value.
 
 A kernel that is called with a NamedTuple of thirty arrays receives some 250 words. Each word is written to the stack
-and read again, whether or not it is used. `lent(x)` stores the tuple once and returns a pointer to it; `held(pointer)`
-dereferences it. The callee loads only the fields that it reads. The pointer is valid until the kernel that called
-`lent` returns.
+and read again, whether or not it is used. `address_of(x)` stores the tuple once and returns a pointer to it;
+`dereference(pointer)` dereferences it. The callee loads only the fields that it reads. The pointer is valid until the
+kernel that called `address_of` returns.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-__all__ = ["Lent", "held", "lent"]
+__all__ = ["Pointer", "address_of", "dereference"]
 
 T = TypeVar("T")
-_built_in: Any = intrinsic
+_intrinsic: Any = intrinsic
 """numba's `intrinsic` as `Any`: its type stubs do not describe the decorator."""
 
 
-class Lent(Generic[T]):
+class Pointer(Generic[T]):
     """Pointer to a tuple of type T. For type checkers only: inside a kernel it is an address."""
 
 
@@ -36,7 +36,7 @@ def _write(builder: Any, value: Any, place: Any) -> None:
         _write(builder, builder.extract_value(value, i), cgutils.gep_inbounds(builder, place, 0, i))
 
 
-@_built_in
+@_intrinsic
 def _lent(typingctx: Any, value: Any) -> Any:
     """Allocate the tuple on the caller's stack, store it, and return its address."""
 
@@ -49,7 +49,7 @@ def _lent(typingctx: Any, value: Any) -> Any:
     return types.CPointer(value)(value), codegen
 
 
-@_built_in
+@_intrinsic
 def _held(typingctx: Any, place: Any) -> Any:
     """Load the tuple from its address."""
 
@@ -59,8 +59,8 @@ def _held(typingctx: Any, place: Any) -> Any:
     return place.dtype(place), codegen
 
 
-lent: Callable[[T], Lent[T]] = _lent
-"""`lent(x)` returns a pointer to a tuple, valid until the calling kernel returns. In a loop, all iterations share one
-stack slot."""
-held: Callable[[Lent[T]], T] = _held
-"""`held(pointer)` dereferences a pointer that `lent` returned."""
+address_of: Callable[[T], Pointer[T]] = _lent
+"""`address_of(x)` returns a pointer to a tuple, valid until the calling kernel returns. In a loop, all iterations
+share one stack slot."""
+dereference: Callable[[Pointer[T]], T] = _held
+"""`dereference(pointer)` dereferences a pointer that `address_of` returned."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["ROADS", "continuous_id", "what_makes"]
+__all__ = ["ROADS", "continuous_id", "continuous_remedy"]
 
 ROADS = (
     *(f"{road}-v{k}" for road in ("merge", "merge-generic", "roundabout", "roundabout-generic") for k in (0, 1)),
@@ -23,7 +23,7 @@ def continuous_id(road: str) -> str:
     return f"{name}-continuous-{version}"
 
 
-def what_makes(env_id: str, config: Mapping[str, Any]) -> str:
+def continuous_remedy(env_id: str, config: Mapping[str, Any]) -> str:
     """Message about an environment that highway-env itself cannot make, with the remedy.
 
     Parameters

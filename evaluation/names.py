@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from dynamics.errors import ConfigError, perhaps
+from dynamics.errors import ConfigError, nearest_name_hint
 
 __all__ = [
     "ANY",
@@ -114,7 +114,7 @@ def check_name(what: str, name: str, valid: Iterable[str], more: str = "") -> No
     """
     names = list(valid)
     if name not in names:
-        raise ConfigError(f"unknown {what} {name!r}{perhaps(name, names)}; have {', '.join(names)}{more}")
+        raise ConfigError(f"unknown {what} {name!r}{nearest_name_hint(name, names)}; have {', '.join(names)}{more}")
 
 
 def check_penalty(penalty: float) -> float:
@@ -170,7 +170,7 @@ def check_policy(name: str) -> None:
             raise ConfigError(f"there is no policy file {name}")
         return
     file = Path(f"{name}.zip")
-    meant = f"; perhaps {str(file)!r} is meant" if file.is_file() else perhaps(name, known)
+    meant = f"; perhaps {str(file)!r} is meant" if file.is_file() else nearest_name_hint(name, known)
     raise ConfigError(f"unknown policy {name!r}{meant}; have {', '.join(known)}, or the path of an SB3 .zip file")
 
 

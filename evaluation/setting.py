@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from dynamics.errors import ConfigError
-from evaluation.continuous_roads import ROADS, continuous_id, what_makes
+from evaluation.continuous_roads import ROADS, continuous_id, continuous_remedy
 
 if TYPE_CHECKING:
     import gymnasium as gym
@@ -77,7 +77,7 @@ class Setting:
             raise ConfigError(f"there is no environment {self.env_id!r}: {error}") from None
         except (TypeError, ValueError, KeyError, AttributeError) as error:
             raise ConfigError(
-                what_makes(self.env_id, self.config)
+                continuous_remedy(self.env_id, self.config)
                 or f"{self.env_id} cannot be made with {dict(self.config) or 'its defaults'}: "
                 f"{type(error).__name__}: {error}"
             ) from error

@@ -11,12 +11,12 @@ from dynamics.road_networks.simulation.compiled_frames import CompiledFrames
 from evaluation.names import SIMULATORS, check_name
 from shield.errors import ConfigError, PlatformError, SceneError
 
-__all__ = ["compiled_where_it_serves", "with_compiled_frames"]
+__all__ = ["compiled_if_supported", "with_compiled_frames"]
 
 T = TypeVar("T")
 
 
-def compiled_where_it_serves(simulator: str, make: Callable[[], tuple[T, bool]]) -> T | None:
+def compiled_if_supported(simulator: str, make: Callable[[], tuple[T, bool]]) -> T | None:
     """The compiled object of `make`; None if highway-env itself is to be used.
 
     Parameters

@@ -19,7 +19,7 @@ from dynamics.learned.tasks.traffic_model import TrafficModel
 from mpc.sampling.categorical import CategoricalCEM, CategoricalSettings
 from mpc.sampling.cem import CEM, PlannerSettings
 from mpc.sampling.mppi import MPPI
-from mpc.sampling.plan import Cost, Plan, PlanMemory, PlanStatus
+from mpc.sampling.plan import Cost, PlanMemory, PlanStatus, SampledPlan
 from mpc.tasks.cautious_parking import CautiousTask
 from mpc.tasks.highway import HighwayTask
 from mpc.tasks.parking import ParkingTask, brake, parking_settings
@@ -31,7 +31,7 @@ __all__ = ["CEMPolicy", "Planner", "Task"]
 class Planner(Protocol):
     """Planner of a policy: `CEM`, `MPPI` or `CategoricalCEM`."""
 
-    def plan(self, state: Any, cost: Cost, memory: PlanMemory | None = None) -> Plan:
+    def plan(self, state: Any, cost: Cost, memory: PlanMemory | None = None) -> SampledPlan:
         """The cheapest plan of the search."""
         ...
 
@@ -186,7 +186,7 @@ class CEMPolicy:
     def reset(self) -> None:
         """Forget the last plans; happens automatically at the start of an episode."""
         self._memory: Memory | None = None
-        self.last_plan: Plan | None = None
+        self.last_plan: SampledPlan | None = None
         self.fallbacks = 0
 
     def predict(

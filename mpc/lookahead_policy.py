@@ -15,7 +15,7 @@ from dynamics.errors import ConfigError
 from dynamics.highway_simulator.env import CompiledHighwayEnv
 from dynamics.highway_simulator.layout import HEADING, SPEED, TARGET, TARGET_SPEED, X, Y
 from dynamics.highway_simulator.simulator import Simulator
-from dynamics.highway_simulator.step_kernels import alike
+from dynamics.highway_simulator.step_kernels import first_equal_actions
 from dynamics.state import FloatArray, IntArray
 
 __all__ = ["LookaheadPolicy"]
@@ -122,7 +122,7 @@ class LookaheadPolicy:
     def _alike(self, futures: Any, n: int) -> IntArray:
         """For each action the first one with the same result, in each of the first n futures, (n, actions)."""
         first = np.empty((n, self._actions), np.intp)
-        alike(futures.worlds, self._live.scenario.rules, n, self._spare, first)
+        first_equal_actions(futures.worlds, self._live.scenario.rules, n, self._spare, first)
         return first
 
     def _kept(self, going: Any, worth: FloatArray, begun: Any) -> Any:

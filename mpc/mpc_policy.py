@@ -20,7 +20,7 @@ from dynamics.errors import ConfigError, SceneError
 from dynamics.scenes.scene import Scene, SceneReader
 from dynamics.state import FloatArray, RoadState, Vehicle
 from dynamics.traffic.assumptions import Assumptions
-from dynamics.traffic.occupancy import Surroundings
+from dynamics.traffic.occupancy import OtherVehicles
 from dynamics.vehicle.actuators import Actuators
 from dynamics.vehicle.controllers import KP_SPEED
 from dynamics.vehicle.curved_bicycle import steer
@@ -139,10 +139,10 @@ class MPCPolicy:
         self.fallbacks += 1
         return self.actuators.normalised(self._brake(scene)), state
 
-    def _choose(self, scene: Scene) -> tuple[int, Surroundings]:
+    def _choose(self, scene: Scene) -> tuple[int, OtherVehicles]:
         """The lane to drive in, and the reachable intervals of the others."""
         road, ego = scene.road, scene.ego_road
-        around = Surroundings(scene.others, scene.others_road, road, self.assumptions, scene.dt)
+        around = OtherVehicles(scene.others, scene.others_road, road, self.assumptions, scene.dt)
         here = road.lane_at(float(ego[RoadState.R]))
         room = np.full(road.centers.size, _FAR)
         if around.lane.size:
@@ -162,7 +162,7 @@ class MPCPolicy:
             best = here
         return best, around
 
-    def _free(self, scene: Scene, around: Surroundings, here: int, lane: int) -> bool:
+    def _free(self, scene: Scene, around: OtherVehicles, here: int, lane: int) -> bool:
         """Whether no vehicle is alongside in the lane, and its followers keep the RSS distance."""
         if lane == here or not around.lane.size:
             return True
@@ -181,7 +181,7 @@ class MPCPolicy:
         )
         return bool(np.all(~inside | (gap > np.where(behind, np.maximum(need, 0.0), 0.0))))
 
-    def _solve(self, scene: Scene, lane: int, around: Surroundings) -> FilterResult:
+    def _solve(self, scene: Scene, lane: int, around: OtherVehicles) -> FilterResult:
         period = scene.frames_per_decision * scene.dt
         low, high = self.actuators.acceleration if self.actuators.longitudinal else (-1e-3, 1e-3)
         if self._filter is None:
@@ -234,7 +234,7 @@ class MPCPolicy:
         )
         return self._filter.solve(problem, elapsed=max(1, round(period / scene.dt)))
 
-    def _rows(self, scene: Scene, around: Surroundings, here: int, lane: int, edges: tuple[float, float]) -> Any:
+    def _rows(self, scene: Scene, around: OtherVehicles, here: int, lane: int, edges: tuple[float, float]) -> Any:
         """Indices of the vehicles in the problem: the nearest ones between the edges, without followers in the own
         lane.
         """

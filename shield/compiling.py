@@ -149,7 +149,7 @@ class _Compiling(Listener):
         if self._begun:
             return
         self._begun = True
-        self._speaker = _only_speaker()
+        self._speaker = _progress_lock()
         if self._speaker is None:
             return
         if self._part not in compile_units():
@@ -193,7 +193,7 @@ class _Compiling(Listener):
             sys.stderr.flush()
 
 
-def _only_speaker() -> IO[str] | None:
+def _progress_lock() -> IO[str] | None:
     """A lock that one process of a user holds while it compiles; None if another process has it."""
     try:
         import fcntl

@@ -11,7 +11,7 @@ from typing import Any
 import tomli_w
 
 from dynamics.deprecation import warn_of_former_name
-from dynamics.errors import perhaps
+from dynamics.errors import nearest_name_hint
 from dynamics.traffic.assumptions import Assumptions
 from shield.errors import ConfigError
 
@@ -105,7 +105,7 @@ class ShieldConfig:
     def __post_init__(self) -> None:
         if self.mode not in MODES:
             raise ConfigError(
-                f"unknown shield mode {self.mode!r}{perhaps(self.mode, MODES)}; valid are {', '.join(MODES)}"
+                f"unknown shield mode {self.mode!r}{nearest_name_hint(self.mode, MODES)}; valid are {', '.join(MODES)}"
             )
         if self.repair not in REPAIRS:
             raise ConfigError(f"unknown repair {self.repair!r}; valid are {', '.join(REPAIRS)}")
@@ -269,6 +269,6 @@ def _build(kind: Any, table: str, values: Any) -> Any:
     valid = [f.name for f in fields(kind)]
     unknown = sorted(set(values) - set(valid))
     if unknown:
-        near = perhaps(unknown[0], valid)
+        near = nearest_name_hint(unknown[0], valid)
         raise ConfigError(f"unknown key {unknown[0]!r} in {table}{near}; valid are {', '.join(valid)}")
     return kind(**values)

@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from dynamics.scenes.parking_lot import is_lot
+from dynamics.scenes.parking_lot import is_parking_lot
 from dynamics.scenes.scene import has_road_and_vehicles
 from shield.config import ShieldConfig
 from shield.errors import ConfigError, ShieldError
@@ -18,11 +18,11 @@ from shield.supported_environments import check_frequency, check_perception, che
 __all__ = [
     "base_environments",
     "check_configuration",
-    "check_gone_on",
+    "check_single_decision",
     "check_step",
     "frames_of",
     "is_known",
-    "refuse_lots",
+    "refuse_parking_lots",
 ]
 
 
@@ -133,7 +133,7 @@ def check_step(base: Any, before: int, executed: Any, info: Mapping[str, Any]) -
         )
 
 
-def check_gone_on(base: Any, before: int) -> None:
+def check_single_decision(base: Any, before: int) -> None:
     """Check that at most one decision was executed since the last call of the policy: others would be unverified.
 
     Parameters
@@ -207,7 +207,7 @@ def _refuse_shielded(env: Any, door: str) -> None:
         raise ConfigError(f"this environment is a ShieldedEnv already: {door} around it would filter what was filtered")
 
 
-def refuse_lots(bases: list[Any]) -> None:
+def refuse_parking_lots(bases: list[Any]) -> None:
     """Check that meta-actions are not filtered in a parking lot, which has no lanes to steer to.
 
     Raises
@@ -216,7 +216,7 @@ def refuse_lots(bases: list[Any]) -> None:
         If one of the environments is a parking lot.
     """
     for base in bases:
-        if is_lot(base):
+        if is_parking_lot(base):
             raise ConfigError(
                 f"{type(base).__name__} with {type(base.action_type).__name__}: in a parking lot the shield filters "
                 'ContinuousAction only. Pass config={"action": {"type": "ContinuousAction"}} to gym.make, and no '

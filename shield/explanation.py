@@ -9,10 +9,10 @@ from typing import Any
 
 from shield.decision import Decision, Reason, Tier
 
-__all__ = ["Explanation", "Lost", "Obstruction", "as_proposed", "number"]
+__all__ = ["Explanation", "LostGuarantee", "Obstruction", "as_proposed", "number"]
 
 
-class Lost(StrEnum):
+class LostGuarantee(StrEnum):
     """What a fallback has lost.
 
     `NOTHING`: the executed plan verifies for this scene, now or at the frame before. `PRECAUTION`: it verifies without
@@ -82,7 +82,7 @@ class Explanation:
     proof: str
     margin: float = nan
     frame: int = 0
-    lost: Lost = Lost.NOTHING
+    lost: LostGuarantee = LostGuarantee.NOTHING
 
     @property
     def text(self) -> str:

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import math
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.roads.straight import nearest
 from dynamics.state import FloatArray, Vehicle
 
-__all__ = ["alongside", "breaks_rss", "lateral_gap", "longitudinal_gap", "time_is_short"]
+__all__ = ["alongside", "lateral_gap", "longitudinal_gap", "time_is_short", "violates_rss"]
 
 _SPEED, _LENGTH, _WIDTH = int(Vehicle.SPEED), int(Vehicle.LENGTH), int(Vehicle.WIDTH)
-_IN_THE_WAY = 1.0
+_BLOCKING_DISTANCE = 1.0
 """A vehicle nearer than this to a lane's centre blocks a change to that lane [m]."""
 _LATERAL = (1.0, 2.0, 0.3)
 """RSS's lateral acceleration and braking [m/s^2], and the margin [m]."""
 
 
-@inlined
+@kernel_inline
 def longitudinal_gap(
     rear_speed: float,
     front_speed: float,
@@ -51,7 +51,7 @@ def longitudinal_gap(
     return max(gap, 0.0)
 
 
-@inlined
+@kernel_inline
 def lateral_gap(
     left_speed: float, right_speed: float, response_time: float, acceleration: float, braking: float, margin: float
 ) -> float:
@@ -63,19 +63,19 @@ def lateral_gap(
     return margin + max(toward - away, 0.0)
 
 
-@inlined
+@kernel_inline
 def _gap(ego: FloatArray, state: FloatArray, rows: FloatArray, states: FloatArray, i: int) -> float:
     """Bumper distance to a vehicle along the road, negative where they overlap [m]."""
     return abs(states[i, 0] - state[0]) - 0.5 * (rows[i, _LENGTH] + ego[_LENGTH])
 
 
-@inlined
+@kernel_inline
 def _in_lane(rows: FloatArray, states: FloatArray, i: int, center: float, width: float) -> bool:
     """Whether a vehicle touches a lane."""
     return abs(states[i, 1] - center) < 0.5 * (width + rows[i, _WIDTH]) - 0.5
 
 
-@uncounted
+@kernel_no_refcount
 def alongside(
     ego: FloatArray,
     state: FloatArray,
@@ -95,14 +95,14 @@ def alongside(
     if lane == nearest(centers, state[1]):
         return False
     for i in range(rows.shape[0]):
-        beside = abs(states[i, 1] - centers[lane]) < _IN_THE_WAY
+        beside = abs(states[i, 1] - centers[lane]) < _BLOCKING_DISTANCE
         if beside and _gap(ego, state, rows, states, i) < longitudinal:
             return True
     return False
 
 
-@uncounted
-def breaks_rss(
+@kernel_no_refcount
+def violates_rss(
     ego: FloatArray,
     state: FloatArray,
     rows: FloatArray,
@@ -147,7 +147,7 @@ def breaks_rss(
     return False
 
 
-@uncounted
+@kernel_no_refcount
 def time_is_short(
     ego: FloatArray,
     state: FloatArray,
@@ -160,7 +160,7 @@ def time_is_short(
     threshold: float,
 ) -> bool:
     """Whether the time to collision in the target lane is below a threshold [s]; other parameters as in
-    `breaks_rss`."""
+    `violates_rss`."""
     v, changes = max(ego[_SPEED], speed), lane != nearest(centers, state[1])
     for i in range(rows.shape[0]):
         ahead = states[i, 0] >= state[0]

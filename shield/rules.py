@@ -16,7 +16,7 @@ from dynamics.state import FloatArray
 from shield.config import RULES_ALONE, ShieldConfig
 from shield.decision import Reason
 from shield.errors import ConfigError
-from shield.rule_kernels import alongside, breaks_rss, lateral_gap, longitudinal_gap, time_is_short
+from shield.rule_kernels import alongside, lateral_gap, longitudinal_gap, time_is_short, violates_rss
 
 __all__ = [
     "BufferRule",
@@ -143,7 +143,7 @@ class RssRule:
         c, a = self.config, self.config.assumptions
         aim = float(scene.road.width), target.lane, float(target.speed)
         braking, response = (c.braking, a.braking, a.follower_braking), (c.response_time, a.reaction_time)
-        return breaks_rss(*_kinematics(scene), *aim, braking, response, a.acceleration)
+        return violates_rss(*_kinematics(scene), *aim, braking, response, a.acceleration)
 
 
 @dataclass(frozen=True, slots=True)

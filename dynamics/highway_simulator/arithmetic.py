@@ -15,7 +15,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.state import FloatArray
 
 __all__ = ["Sums", "clip", "dot2", "dot3", "fma", "not_zero", "sums_of_numpy", "wrap_to_pi"]
@@ -43,19 +43,19 @@ def fma(typingctx: Any, a: Any, b: Any, c: Any) -> Any:
     return types.float64(types.float64, types.float64, types.float64), codegen
 
 
-@inlined
+@kernel_inline
 def dot2(sums: int, a0: float, b0: float, a1: float, b1: float) -> float:
     """`np.dot` of two vectors of two numbers."""
     return fma(a1, b1, a0 * b0) if sums == 1 else a0 * b0 + a1 * b1
 
 
-@inlined
+@kernel_inline
 def dot3(sums: int, a0: float, b0: float, a1: float, b1: float, a2: float, b2: float) -> float:
     """`np.dot` of two vectors of three numbers."""
     return fma(a2, b2, fma(a1, b1, a0 * b0)) if sums == 1 else a0 * b0 + a1 * b1 + a2 * b2
 
 
-@inlined
+@kernel_inline
 def not_zero(x: float) -> float:
     """highway-env's `not_zero`: the number, or 0.01 with its sign if it is nearer to zero."""
     if abs(x) > 1e-2:
@@ -63,7 +63,7 @@ def not_zero(x: float) -> float:
     return 1e-2 if x >= 0 else -1e-2
 
 
-@inlined
+@kernel_inline
 def wrap_to_pi(x: float) -> float:
     """An angle in [-pi, pi)."""
     turned = x + math.pi
@@ -72,13 +72,13 @@ def wrap_to_pi(x: float) -> float:
     return turned - math.pi
 
 
-@inlined
+@kernel_inline
 def clip(x: float, low: float, high: float) -> float:
     """`np.clip` of a number."""
     return min(max(x, low), high)
 
 
-@uncounted
+@kernel_no_refcount
 def _dots(sums: int, a: FloatArray, b: FloatArray, out: FloatArray) -> None:
     """`np.dot` of each pair of rows of two or three numbers, written to `out`."""
     for i in range(len(a)):

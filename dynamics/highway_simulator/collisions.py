@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import dot2
 from dynamics.highway_simulator.layout import (
     CHECKS,
@@ -37,7 +37,7 @@ _SLACK = 1e-6
 """Margin of the search along x [m]; the check itself is exact."""
 
 
-@uncounted
+@kernel_no_refcount
 def _outline(products: int, f: FloatArray, p: FloatArray, i: int, out: FloatArray) -> None:
     """The corners of a body, the first repeated, (5, 2) [m]."""
     c, s, length, width = f[COS, i], f[SIN, i], p[LENGTH, i] / 2, p[WIDTH, i] / 2
@@ -49,7 +49,7 @@ def _outline(products: int, f: FloatArray, p: FloatArray, i: int, out: FloatArra
     out[4, 0], out[4, 1] = out[0, 0], out[0, 1]
 
 
-@uncounted
+@kernel_no_refcount
 def _span(sums: int, polygon: FloatArray, nx: float, ny: float) -> tuple[float, float]:
     """The least and the greatest coordinate of a polygon along an axis."""
     low = high = dot2(sums, polygon[0, 0], nx, polygon[0, 1], ny)
@@ -59,19 +59,19 @@ def _span(sums: int, polygon: FloatArray, nx: float, ny: float) -> tuple[float, 
     return low, high
 
 
-@uncounted
+@kernel_no_refcount
 def _between(low: float, high: float, other_low: float, other_high: float) -> float:
     """Gap between two intervals, negative if they overlap."""
     return other_low - high if low < other_low else low - other_high
 
 
-@uncounted
+@kernel_no_refcount
 def _mean(polygon: FloatArray, axis: int) -> float:
     """Mean coordinate of the corners of a rectangle."""
     return (polygon[0, axis] + polygon[1, axis] + polygon[2, axis] + polygon[3, axis]) / 4
 
 
-@uncounted
+@kernel_no_refcount
 def _intersect(sums: int, corners: FloatArray, ux: float, uy: float) -> tuple[bool, bool, float, float]:
     """Separating-axis test of two polygons, in highway-env's order and with its early exits.
 
@@ -111,7 +111,7 @@ def _intersect(sums: int, corners: FloatArray, ux: float, uy: float) -> tuple[bo
     return touch, will, least * tx, least * ty
 
 
-@uncounted
+@kernel_no_refcount
 def _handle(
     sums: int,
     products: int,
@@ -141,7 +141,7 @@ def _handle(
         g[CRASHED, i] = g[CRASHED, j] = 1
 
 
-@inlined
+@kernel_inline
 def _near(sums: int, f: FloatArray, p: FloatArray, i: int, j: int, dt: float) -> bool:
     """highway-env's distance check, which uses the speed of the first body only."""
     dx, dy = f[X, j] - f[X, i], f[Y, j] - f[Y, i]
@@ -149,7 +149,7 @@ def _near(sums: int, f: FloatArray, p: FloatArray, i: int, j: int, dt: float) ->
     return not apart > (p[DIAGONAL, i] + p[DIAGONAL, j]) / 2 + f[SPEED, i] * dt
 
 
-@uncounted
+@kernel_no_refcount
 def collide(
     sums: int,
     products: int,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import clip, dot2, not_zero, wrap_to_pi
 from dynamics.highway_simulator.layout import (
     ACC_MAX,
@@ -31,7 +31,7 @@ from dynamics.highway_simulator.layout import (
     Y,
 )
 from dynamics.highway_simulator.loops import apply, apply_two, c_pow
-from dynamics.highway_simulator.traffic import acceleration, change_lanes, free_flow, wanted_share
+from dynamics.highway_simulator.traffic import acceleration, change_lanes, free_flow, target_speed_ratio
 from dynamics.state import FloatArray, IntArray
 
 __all__ = ["KP_A", "KP_LATERAL", "act", "free_flow_of_all", "linear_wheel", "pursue"]
@@ -42,14 +42,14 @@ _WHEEL, _TURN = math.pi / 3, math.pi / 4
 _TAN, _ARCTAN, _ARCSIN, _POWER, _C_POW = 0, 1, 2, 5, 6
 
 
-@uncounted
+@kernel_no_refcount
 def free_flow_of_all(
     loops: IntArray, f: FloatArray, g: IntArray, p: FloatArray, lanes: FloatArray, work: FloatArray, vehicles: int
 ) -> None:
     """IDM's acceleration of each vehicle on an empty road [m/s^2], written to the first row of `work` (4, m)."""
     free, share, delta, power = work[0], work[1], work[2], work[3]
     for i in range(vehicles):
-        share[i] = wanted_share(f, g, lanes, i) if g[KIND, i] == IDM else 1.0
+        share[i] = target_speed_ratio(f, g, lanes, i) if g[KIND, i] == IDM else 1.0
         delta[i] = p[DELTA, i]
     apply_two(loops[_POWER, 0], loops[_POWER, 1], share, delta, power, vehicles)
     for i in range(vehicles):
@@ -57,7 +57,7 @@ def free_flow_of_all(
         free[i] = free_flow(p[COMFORT, i], share[i] * share[i] if delta[i] == 2.0 else power[i])
 
 
-@uncounted
+@kernel_no_refcount
 def pursue(
     loops: IntArray,
     f: FloatArray,
@@ -92,7 +92,7 @@ def pursue(
         f[STEERING, busy[k]] = clip(y[k], -_WHEEL, _WHEEL)
 
 
-@inlined
+@kernel_inline
 def linear_wheel(
     sums: int, loops: IntArray, f: FloatArray, p: FloatArray, i: int, ahead: float, lateral: float
 ) -> float:
@@ -108,7 +108,7 @@ def linear_wheel(
     return clip(dot2(sums, p[S_HEADING, i], turn, p[S_LATERAL, i], back), -_WHEEL, _WHEEL)
 
 
-@uncounted
+@kernel_no_refcount
 def _steer(
     sums: int,
     loops: IntArray,
@@ -136,7 +136,7 @@ def _steer(
     pursue(loops, f, p, ahead, x, work[2], busy, n)
 
 
-@uncounted
+@kernel_no_refcount
 def act(
     sums: int,
     loops: IntArray,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import clip
 from dynamics.highway_simulator.layout import LANE_LENGTH, LANE_Y, X, Y
 from dynamics.highway_simulator.observe import feature_of
@@ -24,7 +24,7 @@ _REACH = 100.0
 _RELATIVE = 5
 
 
-@inlined
+@kernel_inline
 def _there_and_back(value: float, low: float, high: float) -> float:
     """A coordinate mapped to [-1, 1] and back, as highway-env does, for the same rounding."""
     if math.isnan(low):
@@ -33,7 +33,7 @@ def _there_and_back(value: float, low: float, high: float) -> float:
     return low + (mapped - -1) * (high - low) / 2
 
 
-@uncounted
+@kernel_no_refcount
 def _draw_road(f: FloatArray, lanes: FloatArray, grid: FloatArray, layer: FloatArray) -> None:
     """Fill in the layer of the lanes."""
     x, y, spacing = f[X, 0], f[Y, 0], min(grid[0, 1], grid[1, 1])
@@ -53,7 +53,7 @@ def _draw_road(f: FloatArray, lanes: FloatArray, grid: FloatArray, layer: FloatA
                 layer[int(i) * across + int(j)] = 1.0
 
 
-@uncounted
+@kernel_no_refcount
 def occupancy_grid(
     f: FloatArray,
     g: IntArray,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dynamics.compiled import inlined
+from dynamics.compiled import kernel_inline
 from dynamics.highway_simulator.arithmetic import wrap_to_pi
 from dynamics.highway_simulator.layout import LANE_LENGTH, LANE_WIDTH, LANE_Y
 from dynamics.state import FloatArray
@@ -15,7 +15,7 @@ OVERHANG = 5.0
 """`AbstractLane.VEHICLE_LENGTH`: length by which a lane extends beyond both its ends [m]."""
 
 
-@inlined
+@kernel_inline
 def on_lane(lanes: FloatArray, lane: int, x: float, y: float, margin: float) -> bool:
     """Whether a point is on a lane, or at most `margin` beyond its edges [m]."""
     return abs(y - lanes[lane, LANE_Y]) <= lanes[lane, LANE_WIDTH] / 2 + margin and (
@@ -23,7 +23,7 @@ def on_lane(lanes: FloatArray, lane: int, x: float, y: float, margin: float) -> 
     )
 
 
-@inlined
+@kernel_inline
 def lanes_at(lanes: FloatArray, x: float, y: float) -> int:
     """The lanes that a body counts on, as bits."""
     bits = 0
@@ -33,14 +33,14 @@ def lanes_at(lanes: FloatArray, x: float, y: float) -> int:
     return bits
 
 
-@inlined
+@kernel_inline
 def reachable(lanes: FloatArray, lane: int, x: float, y: float) -> bool:
     """Whether a lane may be the target of a lane change from a point."""
     near = abs(y - lanes[lane, LANE_Y]) <= 2 * lanes[lane, LANE_WIDTH]
     return near and 0.0 <= x < lanes[lane, LANE_LENGTH] + OVERHANG
 
 
-@inlined
+@kernel_inline
 def closest_lane(lanes: FloatArray, x: float, y: float, heading: float) -> int:
     """The lane nearest in position and heading, the first among equals."""
     best, least, angle = 0, 0.0, abs(wrap_to_pi(heading - 0.0))

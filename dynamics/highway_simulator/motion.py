@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.lanes import closest_lane, lanes_at
 from dynamics.highway_simulator.layout import (
     ACCELERATION,
@@ -37,7 +37,7 @@ __all__ = ["bicycle", "limit", "move"]
 _TAN, _ARCTAN, _COS, _SIN = 0, 1, 3, 4
 
 
-@inlined
+@kernel_inline
 def limit(f: FloatArray, g: IntArray, p: FloatArray, i: int, dt: float) -> None:
     """highway-env's `clip_actions` of a vehicle; its timer advances by a frame."""
     speed = f[SPEED, i]
@@ -51,7 +51,7 @@ def limit(f: FloatArray, g: IntArray, p: FloatArray, i: int, dt: float) -> None:
         f[ACCELERATION, i] = max(f[ACCELERATION, i], 1.0 * (p[MIN_SPEED, i] - speed))
 
 
-@uncounted
+@kernel_no_refcount
 def bicycle(
     loops: IntArray,
     f: FloatArray,
@@ -98,7 +98,7 @@ def bicycle(
         f[COS, busy[k]], f[SIN, busy[k]] = along[k], across[k]
 
 
-@uncounted
+@kernel_no_refcount
 def move(
     loops: IntArray,
     f: FloatArray,

@@ -7,14 +7,14 @@ counts as ahead.
 
 from __future__ import annotations
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import kernel_no_refcount
 from dynamics.highway_simulator.layout import ON, X
 from dynamics.state import FloatArray, IntArray
 
 __all__ = ["find", "sort"]
 
 
-@uncounted
+@kernel_no_refcount
 def sort(f: FloatArray, order: IntArray) -> bool:
     """Sort bodies by x, and by index at equal x.
 
@@ -40,7 +40,7 @@ def sort(f: FloatArray, order: IntArray) -> bool:
     return level
 
 
-@uncounted
+@kernel_no_refcount
 def _level(f: FloatArray, g: IntArray, front: IntArray, rear: IntArray) -> None:
     """`find` where some bodies have the same x: all pairs are compared."""
     for lane in range(len(front)):
@@ -56,7 +56,7 @@ def _level(f: FloatArray, g: IntArray, front: IntArray, rear: IntArray) -> None:
             front[lane, i], rear[lane, i] = ahead, behind
 
 
-@uncounted
+@kernel_no_refcount
 def find(f: FloatArray, g: IntArray, order: IntArray, level: bool, front: IntArray, rear: IntArray) -> None:
     """The next body ahead of each body on each lane, and the next behind; -1 for none.
 

@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import clip, dot2, wrap_to_pi
 from dynamics.highway_simulator.layout import COS, HEADING, KIND, LANE, LANE_Y, LENGTH, OBSTACLE, SIN, SPEED, X, Y
-from dynamics.highway_simulator.random import Row, interval
+from dynamics.highway_simulator.random import GeneratorRow, interval
 from dynamics.state import FloatArray, IntArray
 
 __all__ = ["FEATURES", "feature_of", "kinematics"]
@@ -38,7 +38,7 @@ _RELATIVE = 5
 """Features with a lower index than this, except presence, are relative to the ego."""
 
 
-@inlined
+@kernel_inline
 def feature_of(f: FloatArray, g: IntArray, lanes: FloatArray, i: int, feature: int) -> float:
     """A feature of a body, by its index in `FEATURES`."""
     if feature == 0:
@@ -69,7 +69,7 @@ def feature_of(f: FloatArray, g: IntArray, lanes: FloatArray, i: int, feature: i
     return wrap_to_pi(f[HEADING, i] - 0.0)
 
 
-@uncounted
+@kernel_no_refcount
 def _near(
     sums: int,
     f: FloatArray,
@@ -111,10 +111,10 @@ def _near(
     return n
 
 
-@uncounted
+@kernel_no_refcount
 def kinematics(
     sums: int,
-    row: Row,
+    row: GeneratorRow,
     f: FloatArray,
     g: IntArray,
     p: FloatArray,

@@ -6,7 +6,7 @@ from typing import Any
 
 from dynamics.errors import ConfigError
 
-__all__ = ["check_moves"]
+__all__ = ["check_own_methods"]
 
 _STEPS = ("_simulate", "step")
 """The method that moves the traffic between two decisions, and the one that calls it."""
@@ -25,7 +25,7 @@ _KNOWN = ("highway_env", "dynamics")
 """The compiled copies reproduce the methods of these packages."""
 
 
-def check_moves(base: Any, others: tuple[str, ...] = ()) -> None:
+def check_own_methods(base: Any, others: tuple[str, ...] = ()) -> None:
     """Check that an environment, unwrapped, and its road move traffic by highway-env's own methods.
 
     Rewards, observations, ends of episodes and resets may be overridden, because the scene is read as it is. A class

@@ -14,15 +14,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 
-__all__ = ["TAPE", "WORDS", "below", "from_generator", "interval", "next_64", "seed_row", "to_generator", "uniform"]
+__all__ = [
+    "REPLAY_START",
+    "WORDS",
+    "below",
+    "from_generator",
+    "interval",
+    "next_64",
+    "seed_row",
+    "to_generator",
+    "uniform",
+]
 
-Row = NDArray[np.uint64]
+GeneratorRow = NDArray[np.uint64]
 
 WORDS = 6
 """Numbers in the row of a generator."""
-TAPE = WORDS + 1
+REPLAY_START = WORDS + 1
 """Index at which the replayed numbers begin in a longer row."""
 
 _U = np.uint64
@@ -33,7 +43,7 @@ _INIT_A, _MULT_A, _INIT_B, _MULT_B = _U(0x43B0D7E5), _U(0x931E8875), _U(0x8B51F9
 _MIX_L, _MIX_R = _U(0xCA01F9DD), _U(0x4973F715)
 
 
-@inlined
+@kernel_inline
 def _times(a: Any, b: Any) -> tuple[Any, Any]:
     """The 128-bit product of two 64-bit numbers, as high and low."""
     a1, a0, b1, b0 = a >> _32, a & _LOW, b >> _32, b & _LOW
@@ -42,8 +52,8 @@ def _times(a: Any, b: Any) -> tuple[Any, Any]:
     return a1 * b1 + (middle >> _32) + (other >> _32) + (carry >> _32), a * b
 
 
-@inlined
-def _advance(row: Row) -> None:
+@kernel_inline
+def _advance(row: GeneratorRow) -> None:
     """Advance the state of the generator by one step."""
     high, low = _times(row[1], _MULTIPLIER_LOW)
     high += row[0] * _MULTIPLIER_LOW + row[1] * _MULTIPLIER_HIGH
@@ -52,16 +62,16 @@ def _advance(row: Row) -> None:
     row[1] = total
 
 
-@inlined
-def next_64(row: Row) -> Any:
+@kernel_inline
+def next_64(row: GeneratorRow) -> Any:
     """The next 64 random bits."""
     _advance(row)
     mixed, turn = row[0] ^ row[1], row[0] >> _FIFTYEIGHT
     return (mixed >> turn) | (mixed << ((_SIXTYFOUR - turn) & _SIXTYTHREE))
 
 
-@inlined
-def _next_32(row: Row) -> Any:
+@kernel_inline
+def _next_32(row: GeneratorRow) -> Any:
     """The next 32 random bits."""
     if row[4]:
         row[4] = _ZERO
@@ -71,39 +81,39 @@ def _next_32(row: Row) -> Any:
     return drawn & _LOW
 
 
-@inlined
-def _taped(row: Row) -> bool:
+@kernel_inline
+def _is_replayed(row: GeneratorRow) -> bool:
     """Whether the next draw is a replayed number."""
     return len(row) > WORDS and bool(row[WORDS] > _ZERO) and bool(WORDS + np.int64(row[WORDS]) < len(row))
 
 
-@inlined
+@kernel_inline
 def _share(word: Any) -> float:
     """A word as a number in [0, 1), as of `Generator.random`."""
     return float(word >> _ELEVEN) * (1.0 / 9007199254740992.0)
 
 
-@inlined
-def _next_taped(row: Row) -> float:
+@kernel_inline
+def _next_replayed(row: GeneratorRow) -> float:
     """The next replayed number, in [0, 1)."""
     place = WORDS + np.int64(row[WORDS])
     row[WORDS] += _ONE
     return _share(row[place])
 
 
-@inlined
-def uniform(row: Row, low: float, high: float) -> float:
+@kernel_inline
+def uniform(row: GeneratorRow, low: float, high: float) -> float:
     """`Generator.uniform(low, high)`, or a replayed number."""
-    return low + (high - low) * (_next_taped(row) if _taped(row) else _share(next_64(row)))
+    return low + (high - low) * (_next_replayed(row) if _is_replayed(row) else _share(next_64(row)))
 
 
-@inlined
-def below(row: Row, n: int) -> Any:
+@kernel_inline
+def below(row: GeneratorRow, n: int) -> Any:
     """`Generator.integers(n)`, n at most 2^32 - 1 (Lemire 2019), or a replayed number."""
     if n <= 1:
         return 0
-    if _taped(row):
-        return np.int64(_next_taped(row) * n)
+    if _is_replayed(row):
+        return np.int64(_next_replayed(row) * n)
     size = _U(n)
     product = _next_32(row) * size
     if (product & _LOW) < size:
@@ -113,8 +123,8 @@ def below(row: Row, n: int) -> Any:
     return np.int64(product >> _32)
 
 
-@inlined
-def interval(row: Row, last: int) -> Any:
+@kernel_inline
+def interval(row: GeneratorRow, last: int) -> Any:
     """The draw of `Generator.shuffle`: a number from 0 to `last`, at most 2^32 - 1, by masked rejection."""
     mask = _U(last)
     for shift in range(5):
@@ -125,7 +135,7 @@ def interval(row: Row, last: int) -> Any:
     return np.int64(drawn)
 
 
-@uncounted
+@kernel_no_refcount
 def _hashed(value: Any, constant: Any) -> tuple[Any, Any]:
     value ^= constant
     constant = (constant * _MULT_A) & _LOW
@@ -133,13 +143,13 @@ def _hashed(value: Any, constant: Any) -> tuple[Any, Any]:
     return value ^ (value >> _16), constant
 
 
-@uncounted
+@kernel_no_refcount
 def _mixed(x: Any, y: Any) -> Any:
     mixed = (_MIX_L * x - _MIX_R * y) & _LOW
     return mixed ^ (mixed >> _16)
 
 
-@uncounted
+@kernel_no_refcount
 def _word(entropy: Any, constant: Any) -> tuple[Any, Any]:
     value = entropy ^ constant
     constant = (constant * _MULT_B) & _LOW
@@ -147,8 +157,8 @@ def _word(entropy: Any, constant: Any) -> tuple[Any, Any]:
     return value ^ (value >> _16), constant
 
 
-@uncounted
-def seed_row(row: Row, seed: int) -> None:
+@kernel_no_refcount
+def seed_row(row: GeneratorRow, seed: int) -> None:
     """The row of `np.random.default_rng(seed)`, of a seed from 0 to 2^63 - 1."""
     constant = _INIT_A
     if len(row) > WORDS:
@@ -183,7 +193,7 @@ def seed_row(row: Row, seed: int) -> None:
     _advance(row)
 
 
-def from_generator(generator: np.random.Generator) -> Row:
+def from_generator(generator: np.random.Generator) -> GeneratorRow:
     """The row of a PCG64 generator, (6,) uint64."""
     state: Any = generator.bit_generator.state
     inner = state["state"]
@@ -191,7 +201,7 @@ def from_generator(generator: np.random.Generator) -> Row:
     return np.array([w & (2**64 - 1) for w in (*words, state["uinteger"])], dtype=np.uint64)
 
 
-def to_generator(row: Row, generator: np.random.Generator) -> None:
+def to_generator(row: GeneratorRow, generator: np.random.Generator) -> None:
     """Set the state of a PCG64 generator from a row."""
     words = [int(w) for w in row]
     generator.bit_generator.state = {

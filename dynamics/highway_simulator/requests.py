@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from dynamics.errors import ActionError, ConfigError
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["actions_given", "resets_asked", "steps_asked"]
+__all__ = ["checked_resets", "checked_steps", "kernel_actions"]
 
 
-def resets_asked(
+def checked_resets(
     num_envs: int, seeds: Sequence[int] | NDArray[Any] | None, which: Sequence[int] | None
 ) -> tuple[IntArray, IntArray]:
     """The environments to reset, all by default, and the seed of each. A seed of -1 means that the present generator
@@ -36,7 +36,7 @@ def resets_asked(
     return chosen, np.array(given, dtype=np.int64)
 
 
-def steps_asked(num_envs: int, which: Sequence[int] | NDArray[Any] | None) -> IntArray | None:
+def checked_steps(num_envs: int, which: Sequence[int] | NDArray[Any] | None) -> IntArray | None:
     """The environments to step, in increasing order; None for all.
 
     Raises
@@ -53,7 +53,7 @@ def steps_asked(num_envs: int, which: Sequence[int] | NDArray[Any] | None) -> In
     return chosen
 
 
-def actions_given(actions: Any, num_envs: int, labels: int, inputs: Any) -> FloatArray:
+def kernel_actions(actions: Any, num_envs: int, labels: int, inputs: Any) -> FloatArray:
     """Actions in the form of the kernels, (num_envs, 2).
 
     Parameters

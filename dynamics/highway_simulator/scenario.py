@@ -23,13 +23,13 @@ from dynamics.highway_simulator.grid import LAYERS
 from dynamics.highway_simulator.kinds import constants_of, kind_of, mix_of, ranges_of
 from dynamics.highway_simulator.layout import CONTINUOUS, EGO, LANE_COLUMNS
 from dynamics.highway_simulator.observe import FEATURES
-from dynamics.highway_simulator.own_methods import check_moves
-from dynamics.highway_simulator.step_kernels import Rules, View
-from dynamics.highway_simulator.supported_configs import refusals
+from dynamics.highway_simulator.own_methods import check_own_methods
+from dynamics.highway_simulator.step_kernels import ObservationConfig, Rules
+from dynamics.highway_simulator.supported_configs import unsupported_highway_settings
 from dynamics.scenes.registration import spec_of
 from dynamics.state import FloatArray
 
-__all__ = ["ACTIONS", "REWARDS", "Inputs", "Scenario", "scenario_of", "scenario_of_live"]
+__all__ = ["ACTIONS", "REWARDS", "ActionScaling", "Scenario", "scenario_of", "scenario_of_live"]
 
 ACTIONS = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")
 """The labels of meta-actions, by their number in the kernels."""
@@ -53,7 +53,7 @@ REWARDS = ("collision_reward", "right_lane_reward", "high_speed_reward", "on_roa
 
 
 @dataclass(frozen=True, slots=True)
-class Inputs:
+class ActionScaling:
     """Conversion of continuous actions to inputs, as `ContinuousAction.get_action` does it, with the dtype of the
     actions.
 
@@ -100,8 +100,8 @@ class Scenario:
     env_id: str
     config: Mapping[str, Any]
     rules: Rules
-    view: View
-    inputs: Inputs | None
+    view: ObservationConfig
+    inputs: ActionScaling | None
     observation_space: gym.spaces.Box
     action_space: gym.Space[Any]
     bodies: int
@@ -155,7 +155,7 @@ def scenario_of_live(base: Any, observes: bool = True) -> Scenario:
         return _scenario(env_id, type(base), dict(base.config), observes)
     if not isinstance(base, HighwayEnv):
         raise ConfigError(f"the compiled simulator runs straight highways, HighwayEnv, not {env_id}")
-    check_moves(base)
+    check_own_methods(base)
     kind = HighwayEnvFast if isinstance(base, HighwayEnvFast) else HighwayEnv
     whole = kind.default_config()
     whole.update({key: base.config[key] for key in _MOVES if key in base.config})
@@ -175,7 +175,7 @@ def _scenario(env_id: str, kind: type[HighwayEnv], whole: dict[str, Any], observ
         raise PlatformError(f"the compiled highway is a copy of highway-env {COPIED}; {installed} is installed")
     if not observes:
         whole["observation"] = {"type": "Kinematics"}
-    refused = refusals(whole)
+    refused = unsupported_highway_settings(whole)
     if refused:
         raise ConfigError(
             f"the compiled simulator cannot run {env_id} with {'; '.join(refused)}. It runs highway-v0 and "
@@ -218,7 +218,7 @@ def lanes_of(count: int) -> FloatArray:
     return lanes
 
 
-def _rules(kind: type[HighwayEnv], config: Mapping[str, Any]) -> tuple[Rules, Inputs | None, gym.Space[Any]]:
+def _rules(kind: type[HighwayEnv], config: Mapping[str, Any]) -> tuple[Rules, ActionScaling | None, gym.Space[Any]]:
     """The constants for the kernels, the conversion of continuous actions (or None), and the action space."""
     traffic = utils.class_from_path(config["other_vehicles_type"])
     action, n = config["action"], config["lanes_count"]
@@ -262,7 +262,7 @@ def _rules(kind: type[HighwayEnv], config: Mapping[str, Any]) -> tuple[Rules, In
     return rules, inputs, gym.spaces.Box(-1.0, 1.0, (inputs.size,), np.float32)
 
 
-def _actions(action: Mapping[str, Any]) -> tuple[Inputs | None, Any, FloatArray]:
+def _actions(action: Mapping[str, Any]) -> tuple[ActionScaling | None, Any, FloatArray]:
     """The conversion of continuous actions (or None), the labels of meta-actions, and the target speeds [m/s]."""
     speeds = MDPVehicle.DEFAULT_TARGET_SPEEDS if action.get("target_speeds") is None else action["target_speeds"]
     speeds = np.array(speeds, dtype=np.float64)
@@ -274,13 +274,13 @@ def _actions(action: Mapping[str, Any]) -> tuple[Inputs | None, Any, FloatArray]
             (action.get("acceleration_range") or ContinuousAction.ACCELERATION_RANGE) if along else None,
             (action.get("steering_range") or ContinuousAction.STEERING_RANGE) if across else None,
         )
-        return Inputs(*ranges, clip=action.get("clip", True)), np.zeros(0, np.int64), speeds
+        return ActionScaling(*ranges, clip=action.get("clip", True)), np.zeros(0, np.int64), speeds
     kind = DiscreteMetaAction
     names = kind.ACTIONS_ALL if along and across else kind.ACTIONS_LONGI if along else kind.ACTIONS_LAT
     return None, np.array([ACTIONS.index(names[i]) for i in sorted(names)], dtype=np.int64), speeds
 
 
-def _view(config: Mapping[str, Any]) -> tuple[View, gym.spaces.Box]:
+def _view(config: Mapping[str, Any]) -> tuple[ObservationConfig, gym.spaces.Box]:
     """The configuration of the observation for the kernels, and the observation space."""
     asked, n = config["observation"], config["lanes_count"]
     is_grid = asked["type"] == "OccupancyGrid"
@@ -314,5 +314,7 @@ def _view(config: Mapping[str, Any]) -> tuple[View, gym.spaces.Box]:
         cells = np.stack([size[:, 0], step, counts], axis=1).astype(np.float64)
         shape = (len(features), *counts.astype(int).tolist())
     names = (*FEATURES, *LAYERS)
-    view = View(np.array([names.index(name) for name in features], dtype=np.int64), table, switches, places, cells)
+    view = ObservationConfig(
+        np.array([names.index(name) for name in features], dtype=np.int64), table, switches, places, cells
+    )
     return view, gym.spaces.Box(-np.inf, np.inf, shape, np.float32)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.lanes import closest_lane, lanes_at
 from dynamics.highway_simulator.layout import (
     A_SPEED,
@@ -30,7 +30,7 @@ from dynamics.highway_simulator.layout import (
     X,
     Y,
 )
-from dynamics.highway_simulator.random import Row, below, uniform
+from dynamics.highway_simulator.random import GeneratorRow, below, uniform
 from dynamics.state import FloatArray, IntArray
 
 __all__ = ["next_target_speed", "randomize", "spawn", "speed_index"]
@@ -38,7 +38,7 @@ __all__ = ["next_target_speed", "randomize", "spawn", "speed_index"]
 _EGO_SPEED = 25.0
 
 
-@inlined
+@kernel_inline
 def _rint(x: float) -> float:
     """A number rounded half to even."""
     whole = math.floor(x)
@@ -48,7 +48,7 @@ def _rint(x: float) -> float:
     return whole + 1.0
 
 
-@uncounted
+@kernel_no_refcount
 def speed_index(target_speeds: FloatArray, speed: float) -> int:
     """Index of the nearest target speed; they are equally spaced."""
     n = len(target_speeds)
@@ -56,15 +56,15 @@ def speed_index(target_speeds: FloatArray, speed: float) -> int:
     return int(min(max(_rint(x * (n - 1)), 0.0), n - 1.0))
 
 
-@uncounted
+@kernel_no_refcount
 def next_target_speed(target_speeds: FloatArray, speed: float, label: int) -> float:
     """The target speed after FASTER (3) or SLOWER (4) at a speed [m/s]."""
     index = speed_index(target_speeds, speed) + (1 if label == 3 else -1)
     return target_speeds[min(max(index, 0), len(target_speeds) - 1)]
 
 
-@uncounted
-def randomize(row: Row, kind: int, ranges: FloatArray, p: FloatArray, i: int) -> None:
+@kernel_no_refcount
+def randomize(row: GeneratorRow, kind: int, ranges: FloatArray, p: FloatArray, i: int) -> None:
     """Draw the parameters of a vehicle: highway-env's `randomize_behavior`.
 
     Parameters
@@ -82,9 +82,9 @@ def randomize(row: Row, kind: int, ranges: FloatArray, p: FloatArray, i: int) ->
     p[DELTA, i] = uniform(row, ranges[0, 0], ranges[0, 1])
 
 
-@uncounted
+@kernel_no_refcount
 def spawn(
-    row: Row,
+    row: GeneratorRow,
     f: FloatArray,
     g: IntArray,
     p: FloatArray,

@@ -15,13 +15,13 @@ from dynamics.highway_simulator.arithmetic import Sums, sums_of_numpy
 from dynamics.highway_simulator.layout import LINEAR, F, G, P
 from dynamics.highway_simulator.live import bodies_of, load, store
 from dynamics.highway_simulator.loops import addresses
-from dynamics.highway_simulator.random import TAPE, WORDS
-from dynamics.highway_simulator.requests import actions_given, resets_asked, steps_asked
+from dynamics.highway_simulator.random import REPLAY_START, WORDS
+from dynamics.highway_simulator.requests import checked_resets, checked_steps, kernel_actions
 from dynamics.highway_simulator.scenario import Scenario, scenario_of, scenario_of_live
 from dynamics.highway_simulator.step_kernels import (
     Machine,
     Rules,
-    Seen,
+    StepResults,
     Work,
     Worlds,
     begin,
@@ -179,12 +179,12 @@ class Simulator:
         sums, products = sums_of_numpy()
         self.exact = Sums.OTHER not in (sums, products)
         self.machine = Machine(sums, products, addresses())
-        self.worlds = self.new_worlds(e, TAPE + self.draws if tape else WORDS)
+        self.worlds = self.new_worlds(e, REPLAY_START + self.draws if tape else WORDS)
         shape = scenario.observation_space.shape
         rows, features = shape[0], int(np.prod(shape[1:]))
         self._slices = Slices(e, threads)
         self._works = [self.new_work() for _ in self._slices.bounds]
-        flat = Seen(
+        flat = StepResults(
             np.zeros((e, rows, features), np.float32),
             np.zeros((e, rows, features), np.float32),
             np.zeros(e),
@@ -235,7 +235,7 @@ class Simulator:
             raise ConfigError(f"have numbers from 0 to 1 of shape {(len(which), self.draws)}, not {shares.shape}")
         chosen = np.asarray(which, np.int64)
         self.worlds.rows[chosen, WORDS] = 1
-        self.worlds.rows[chosen, TAPE:] = np.ldexp(shares, 53).astype(np.uint64) << np.uint64(11)
+        self.worlds.rows[chosen, REPLAY_START:] = np.ldexp(shares, 53).astype(np.uint64) << np.uint64(11)
         return self.reset(which=which)
 
     def new_worlds(self, count: int, words: int = WORDS) -> Worlds:
@@ -275,7 +275,7 @@ class Simulator:
             If an environment does not exist, a seed is invalid, or a live scene has other bodies than its
             configuration.
         """
-        chosen, numbers = resets_asked(self.num_envs, seeds, which)
+        chosen, numbers = checked_resets(self.num_envs, seeds, which)
         rules, view = self.scenario.rules, self.scenario.view
         self._check_configured()
         reset_all(self.machine, self.worlds, rules, view, self._works[0], self.flat, chosen, numbers)
@@ -316,7 +316,7 @@ class Simulator:
                 self.machine, self.worlds, scenario.rules, scenario.view, work, self.flat, given, first, last, again
             )
 
-        self._slices.run(part, steps_asked(self.num_envs, which))
+        self._slices.run(part, checked_steps(self.num_envs, which))
         return seen.observations, seen.reward, seen.terminated, seen.truncated
 
     def step_first(
@@ -349,7 +349,7 @@ class Simulator:
         seen: NDArray[np.float32] = self.seen.observations[0]
         return seen
 
-    def finish(self) -> Seen:
+    def finish(self) -> StepResults:
         """End the decision that `begin` began, and return its results."""
         scenario, work = self.scenario, self._works[0]
         finish(self.machine, self.worlds, scenario.rules, scenario.view, work, self.flat, 0)
@@ -357,7 +357,7 @@ class Simulator:
 
     def _given(self, actions: Any) -> FloatArray:
         """Actions in the form of the kernels, (e, 2)."""
-        return actions_given(actions, self.num_envs, len(self.scenario.rules.labels), self.scenario.inputs)
+        return kernel_actions(actions, self.num_envs, len(self.scenario.rules.labels), self.scenario.inputs)
 
 
 def _work(bodies: int, lanes: int, rows: int, features: int) -> Work:

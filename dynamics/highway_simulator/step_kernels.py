@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import clip
 from dynamics.highway_simulator.collisions import collide
 from dynamics.highway_simulator.control import act
@@ -40,16 +40,16 @@ from dynamics.state import FloatArray, IntArray
 
 __all__ = [
     "Machine",
+    "ObservationConfig",
     "Rules",
-    "Seen",
-    "View",
+    "StepResults",
     "Work",
     "Worlds",
     "advance",
-    "alike",
     "begin",
+    "begin_next_episode",
     "finish",
-    "follow",
+    "first_equal_actions",
     "frame",
     "look",
     "reset_all",
@@ -112,7 +112,7 @@ class Rules(NamedTuple):
     reward: tuple[float, float, float, float, float, float, bool, bool]
 
 
-class View(NamedTuple):
+class ObservationConfig(NamedTuple):
     """The configuration of an observation: see `grid.occupancy_grid`, and `observe.kinematics` if `grid` is empty, (0,
     3)."""
 
@@ -135,7 +135,7 @@ class Work(NamedTuple):
     seen: FloatArray
 
 
-class Seen(NamedTuple):
+class StepResults(NamedTuple):
     """Results of a step, one entry for each environment.
 
     Attributes
@@ -155,7 +155,7 @@ class Seen(NamedTuple):
     speed: FloatArray
 
 
-@uncounted
+@kernel_no_refcount
 def _restart(worlds: Worlds, rules: Rules, e: int) -> None:
     """Draw a new scene in one environment."""
     numbers = rules.numbers
@@ -181,7 +181,7 @@ def _restart(worlds: Worlds, rules: Rules, e: int) -> None:
         worlds.order[e, i] = i
 
 
-@uncounted
+@kernel_no_refcount
 def _command(rules: Rules, f: FloatArray, g: IntArray, action: FloatArray) -> None:
     """Apply an action to the target command of the ego, or to its inputs."""
     if g[KIND, 0] != EGO:
@@ -196,7 +196,7 @@ def _command(rules: Rules, f: FloatArray, g: IntArray, action: FloatArray) -> No
             g[TARGET, 0] = lane
 
 
-@inlined
+@kernel_inline
 def advance(
     machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int, level: bool, throttle: float, wheel: float
 ) -> bool:
@@ -216,7 +216,7 @@ def advance(
     return level
 
 
-@uncounted
+@kernel_no_refcount
 def _judge(rules: Rules, f: FloatArray, g: IntArray, parts: FloatArray) -> tuple[float, bool]:
     """The reward of a decision, and whether the ego is on the road."""
     collision, right, fast, on_road, slow_end, fast_end, normalised, _ = rules.reward
@@ -235,8 +235,10 @@ def _judge(rules: Rules, f: FloatArray, g: IntArray, parts: FloatArray) -> tuple
     return reward * parts[3], on
 
 
-@uncounted
-def _show(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, e: int, out: Any) -> None:
+@kernel_no_refcount
+def _show(
+    machine: Machine, worlds: Worlds, rules: Rules, view: ObservationConfig, work: Work, e: int, out: Any
+) -> None:
     """Fill in the observation of one environment, `out` (rows, features)."""
     f, g, p, row = worlds.f[e], worlds.g[e], worlds.p[e], worlds.rows[e]
     if len(view.grid) > 0:
@@ -270,9 +272,11 @@ def _show(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work
     )
 
 
-@uncounted
-def finish(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, e: int) -> None:
-    """End a decision in one environment: observation, reward, and whether the episode ends; see `Seen`."""
+@kernel_no_refcount
+def finish(
+    machine: Machine, worlds: Worlds, rules: Rules, view: ObservationConfig, work: Work, seen: StepResults, e: int
+) -> None:
+    """End a decision in one environment: observation, reward, and whether the episode ends; see `StepResults`."""
     f, g = worlds.f[e], worlds.g[e]
     _show(machine, worlds, rules, view, work, e, seen.observations[e])
     reward, on = _judge(rules, f, g, seen.parts[e])
@@ -281,14 +285,18 @@ def finish(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Wor
     seen.truncated[e] = worlds.clock[e] >= rules.times[2]
 
 
-@uncounted
-def observe(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, e: int) -> None:
+@kernel_no_refcount
+def observe(
+    machine: Machine, worlds: Worlds, rules: Rules, view: ObservationConfig, work: Work, seen: StepResults, e: int
+) -> None:
     """Write the present observation of one environment to `seen.observations`; change nothing else."""
     _show(machine, worlds, rules, view, work, e, seen.observations[e])
 
 
-@uncounted
-def follow(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, e: int) -> None:
+@kernel_no_refcount
+def begin_next_episode(
+    machine: Machine, worlds: Worlds, rules: Rules, view: ObservationConfig, work: Work, seen: StepResults, e: int
+) -> None:
     """Start the next episode in one environment; `seen.terminal` gets the last observation."""
     for k in range(seen.observations.shape[1]):
         for c in range(seen.observations.shape[2]):
@@ -297,15 +305,15 @@ def follow(machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Wor
     _show(machine, worlds, rules, view, work, e, seen.observations[e])
 
 
-@uncounted
+@kernel_no_refcount
 def begin(worlds: Worlds, rules: Rules, e: int, action: FloatArray) -> None:
     """Begin a decision in one environment: apply its action."""
     worlds.clock[e] += rules.times[1]
     _command(rules, worlds.f[e], worlds.g[e], action)
 
 
-@uncounted
-def alike(worlds: Worlds, rules: Rules, count: int, work: FloatArray, first: IntArray) -> None:
+@kernel_no_refcount
+def first_equal_actions(worlds: Worlds, rules: Rules, count: int, work: FloatArray, first: IntArray) -> None:
     """For each meta-action, the first one that leads to the same target lane and speed, in the first `count`
     environments, `first` (e, actions), written.
 
@@ -328,14 +336,14 @@ def alike(worlds: Worlds, rules: Rules, count: int, work: FloatArray, first: Int
                     first[e, a] = b
 
 
-@inlined
+@kernel_inline
 def write_row(f: FloatArray, g: IntArray, p: FloatArray, i: int, row: FloatArray) -> None:
     """A body as a row, (7,): x, y [m], heading [rad], speed [m/s], length, width [m], crashed."""
     row[0], row[1], row[2], row[3] = f[X, i], f[Y, i], f[HEADING, i], f[SPEED, i]
     row[4], row[5], row[6] = p[LENGTH, i], p[WIDTH, i], float(g[CRASHED, i])
 
 
-@inlined
+@kernel_inline
 def look(worlds: Worlds, rules: Rules, e: int, rows: FloatArray) -> bool:
     """Write the bodies of one environment to `rows`, (m, 7), see `frame`, and return whether the ego is on the road."""
     f, g, p, lanes = worlds.f[e], worlds.g[e], worlds.p[e], rules.lanes
@@ -344,7 +352,7 @@ def look(worlds: Worlds, rules: Rules, e: int, rows: FloatArray) -> bool:
     return on_lane(lanes, g[LANE, 0], f[X, 0], f[Y, 0], 0.0)
 
 
-@uncounted
+@kernel_no_refcount
 def frame(
     machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int, throttle: float, wheel: float, rows: FloatArray
 ) -> bool:
@@ -359,9 +367,16 @@ def frame(
     return look(worlds, rules, e, rows)
 
 
-@uncounted
+@kernel_no_refcount
 def reset_all(
-    machine: Machine, worlds: Worlds, rules: Rules, view: View, work: Work, seen: Seen, which: IntArray, seeds: IntArray
+    machine: Machine,
+    worlds: Worlds,
+    rules: Rules,
+    view: ObservationConfig,
+    work: Work,
+    seen: StepResults,
+    which: IntArray,
+    seeds: IntArray,
 ) -> None:
     """Reset environments. With a negative seed, the environment's generator continues."""
     for k in range(len(which)):
@@ -373,14 +388,14 @@ def reset_all(
         seen.speed[e], seen.parts[e, 0] = worlds.f[e, SPEED, 0], 0.0
 
 
-@uncounted
+@kernel_no_refcount
 def step_all(
     machine: Machine,
     worlds: Worlds,
     rules: Rules,
-    view: View,
+    view: ObservationConfig,
     work: Work,
-    seen: Seen,
+    seen: StepResults,
     actions: FloatArray,
     first: int,
     last: int,
@@ -395,4 +410,4 @@ def step_all(
             level = advance(machine, worlds, rules, work, e, level, math.nan, math.nan)
         finish(machine, worlds, rules, view, work, seen, e)
         if again and (seen.terminated[e] or seen.truncated[e]):
-            follow(machine, worlds, rules, view, work, seen, e)
+            begin_next_episode(machine, worlds, rules, view, work, seen, e)

@@ -14,7 +14,7 @@ from dynamics.highway_simulator.grid import LAYERS
 from dynamics.highway_simulator.kinds import kind_of
 from dynamics.highway_simulator.observe import FEATURES
 
-__all__ = ["refusals"]
+__all__ = ["unsupported_highway_settings"]
 
 _MOST_LANES = 62
 _IGNORED = frozenset(
@@ -59,7 +59,7 @@ _READ = frozenset(
 )
 
 
-def refusals(config: Mapping[str, Any]) -> list[str]:
+def unsupported_highway_settings(config: Mapping[str, Any]) -> list[str]:
     """All unsupported entries of a whole configuration; an empty list if it is supported."""
     return [*_scene(config), *_observation(config), *_action(config)]
 

@@ -7,7 +7,7 @@ is the vehicle that computes.
 
 from __future__ import annotations
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import clip, dot2, dot3, not_zero
 from dynamics.highway_simulator.lanes import reachable
 from dynamics.highway_simulator.layout import (
@@ -40,59 +40,59 @@ from dynamics.highway_simulator.layout import (
 )
 from dynamics.highway_simulator.loops import at_two
 from dynamics.state import FloatArray, IntArray
-from dynamics.traffic.mobil import gap_by
+from dynamics.traffic.mobil import desired_gap_with
 
 __all__ = [
     "acceleration",
+    "acceleration_behind_leader",
     "change_lanes",
     "desired_gap",
     "free_flow",
     "free_flow_of",
-    "held_back",
     "linear",
-    "wanted_share",
+    "target_speed_ratio",
 ]
 
 _POWER = 5
 
 
-@inlined
+@kernel_inline
 def desired_gap(sums: int, f: FloatArray, p: FloatArray, judge: int, body: int, leader: int) -> float:
     """IDM's desired gap d* of a body to the one ahead [m]; it may be negative if that one is much faster."""
     v, w = f[SPEED, body], f[SPEED, leader]
     c, s = f[COS, body], f[SIN, body]
     closing = dot2(sums, v * c - w * f[COS, leader], c, v * s - w * f[SIN, leader], s)
-    return gap_by(p[DISTANCE, judge], p[TIME, judge], p[TWICE_ROOT, judge], v, closing)
+    return desired_gap_with(p[DISTANCE, judge], p[TIME, judge], p[TWICE_ROOT, judge], v, closing)
 
 
-@inlined
-def wanted_share(f: FloatArray, g: IntArray, lanes: FloatArray, body: int) -> float:
+@kernel_inline
+def target_speed_ratio(f: FloatArray, g: IntArray, lanes: FloatArray, body: int) -> float:
     """Speed of a body divided by its target speed, limited to the speed limit of its lane."""
     target = 0.0 if g[KIND, body] == CONTINUOUS else f[TARGET_SPEED, body]
     return max(f[SPEED, body], 0.0) / abs(not_zero(clip(target, 0.0, lanes[g[LANE, body], LANE_LIMIT])))
 
 
-@inlined
+@kernel_inline
 def free_flow(comfort: float, power: float) -> float:
     """IDM's acceleration on an empty road [m/s^2], given the speed divided by the target speed, to the power delta."""
     return comfort * (1.0 - power)
 
 
-@inlined
+@kernel_inline
 def free_flow_of(
     loops: IntArray, f: FloatArray, g: IntArray, p: FloatArray, lanes: FloatArray, judge: int, body: int
 ) -> float:
     """IDM's acceleration of a body on an empty road by the constants of vehicle `judge` [m/s^2]; lanes : (n,
     LANE_COLUMNS)."""
-    share = wanted_share(f, g, lanes, body)
+    share = target_speed_ratio(f, g, lanes, body)
     power = share * share
     if p[DELTA, judge] != 2.0:
         power = at_two(loops[_POWER, 0], loops[_POWER, 1], share, p[DELTA, judge])
     return free_flow(p[COMFORT, judge], power)
 
 
-@inlined
-def held_back(
+@kernel_inline
+def acceleration_behind_leader(
     sums: int, f: FloatArray, p: FloatArray, judge: int, body: int, leader: int, ahead: float, free: float
 ) -> float:
     """IDM's acceleration of a body at distance `ahead` [m] behind a leader, given that on an empty road [m/s^2]."""
@@ -100,7 +100,7 @@ def held_back(
     return free - p[COMFORT, judge] * (held * held)
 
 
-@inlined
+@kernel_inline
 def linear(
     sums: int, f: FloatArray, g: IntArray, p: FloatArray, judge: int, body: int, leader: int, ahead: float
 ) -> float:
@@ -122,7 +122,7 @@ def linear(
     return dot3(sums, p[A_SPEED, judge], faster, p[A_LEADER, judge], closing, p[A_GAP, judge], room)
 
 
-@inlined
+@kernel_inline
 def acceleration(
     sums: int,
     loops: IntArray,
@@ -151,10 +151,10 @@ def acceleration(
         free = free_flow_of(loops, f, g, p, lanes, judge, body)
     if leader < 0:
         return free
-    return held_back(sums, f, p, judge, body, leader, f[X, leader] - f[X, body], free)
+    return acceleration_behind_leader(sums, f, p, judge, body, leader, f[X, leader] - f[X, body], free)
 
 
-@uncounted
+@kernel_no_refcount
 def _mobil(
     sums: int,
     loops: IntArray,
@@ -191,7 +191,7 @@ def _mobil(
     return not gain < p[GAIN, i]
 
 
-@uncounted
+@kernel_no_refcount
 def change_lanes(
     sums: int,
     loops: IntArray,

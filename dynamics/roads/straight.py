@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import kernel_no_refcount
 from dynamics.errors import SceneError
 from dynamics.roads.gaps import Gaps
 from dynamics.state import FloatArray, RoadState, State
@@ -76,7 +76,7 @@ class Road(Protocol):
         ...
 
 
-@uncounted
+@kernel_no_refcount
 def _to_road(states: Any, x: float, y: float, cos: float, sin: float, heading: float, out: Any) -> None:
     """World states (n, 4) to road states, `out` (n, 4), by the origin and the heading of the road."""
     for i in range(states.shape[0]):
@@ -85,7 +85,7 @@ def _to_road(states: Any, x: float, y: float, cos: float, sin: float, heading: f
         out[i, _PSI], out[i, _V] = states[i, _HEADING] - heading, states[i, _SPEED]
 
 
-@uncounted
+@kernel_no_refcount
 def _to_world(states: Any, x: float, y: float, cos: float, sin: float, heading: float, out: Any) -> None:
     """Road states (n, 4) to world states, `out` (n, 4), by the origin and the heading of the road."""
     for i in range(states.shape[0]):
@@ -94,7 +94,7 @@ def _to_world(states: Any, x: float, y: float, cos: float, sin: float, heading: 
         out[i, _HEADING], out[i, _SPEED] = states[i, _PSI] + heading, states[i, _V]
 
 
-@uncounted
+@kernel_no_refcount
 def nearest(centers: Any, r: float) -> int:
     """Index of the centre that is nearest to r, the first among equals."""
     best = 0

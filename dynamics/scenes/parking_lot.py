@@ -1,7 +1,7 @@
 """A parking lot at one instant: the ego and the obstacles around it. Its lanes have no meaning.
 
-`LotReader` reads the simulator's true state. highway-env's observation of a lot contains neither walls nor other
-vehicles.
+`ParkingSceneReader` reads the simulator's true state. highway-env's observation of a lot contains neither walls nor
+other vehicles.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from dynamics.errors import SceneError
 from dynamics.state import BoolArray, FloatArray
 
-__all__ = ["BODY", "BOX", "Lot", "LotReader", "is_lot"]
+__all__ = ["BODY", "BOX", "ParkingScene", "ParkingSceneReader", "is_parking_lot"]
 
 BODY = ("x", "y", "heading", "speed", "length", "width")
 """Columns of a vehicle in a lot: [m], [m], [rad], [m/s], [m], [m], world frame; the first four are those of `State`."""
@@ -24,7 +24,7 @@ BOX = (0, 1, 2, 4, 5)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lot:
+class ParkingScene:
     """Ego, obstacles and timing.
 
     Attributes
@@ -74,19 +74,19 @@ class Lot:
         return self.obstacles[:, BOX]
 
     @classmethod
-    def from_env(cls, env: Any) -> Lot:
-        """Read the true state of a parking environment (see `LotReader`)."""
-        return LotReader(env).read()
+    def from_env(cls, env: Any) -> ParkingScene:
+        """Read the true state of a parking environment (see `ParkingSceneReader`)."""
+        return ParkingSceneReader(env).read()
 
 
-def is_lot(env: Any) -> bool:
+def is_parking_lot(env: Any) -> bool:
     """Whether a highway-env environment is a parking lot: a `ParkingEnv`, or one derived from it."""
     from highway_env.envs.parking_env import ParkingEnv
 
     return isinstance(getattr(env, "unwrapped", env), ParkingEnv)
 
 
-class LotReader:
+class ParkingSceneReader:
     """Reads lots from the simulator's true state.
 
     Parameters
@@ -101,7 +101,7 @@ class LotReader:
 
     def __init__(self, env: Any) -> None:
         self._env = getattr(env, "unwrapped", env)
-        if not is_lot(self._env):
+        if not is_parking_lot(self._env):
             raise SceneError(f"{type(self._env).__name__} is no parking lot; valid are ParkingEnv and its subclasses")
         count = int(self._env.config["controlled_vehicles"])
         if count != 1:
@@ -117,7 +117,7 @@ class LotReader:
         """
         self.read()
 
-    def read(self) -> Lot:
+    def read(self) -> ParkingScene:
         """The present lot.
 
         Raises
@@ -132,7 +132,7 @@ class LotReader:
         around = [v for v in env.road.vehicles if v is not ego]
         around += [o for o in env.road.objects if o.solid]
         obstacles = np.array([_row(body) for body in around], dtype=float).reshape(-1, len(BODY))
-        return Lot(np.array(_row(ego), dtype=float), obstacles, 1 / env.config["simulation_frequency"], around)
+        return ParkingScene(np.array(_row(ego), dtype=float), obstacles, 1 / env.config["simulation_frequency"], around)
 
 
 def _row(v: Any) -> tuple[float, ...]:

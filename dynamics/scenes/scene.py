@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import kernel_no_refcount
 from dynamics.errors import ActionError, SceneError
 from dynamics.roads.path_reader import read_network
 from dynamics.roads.straight import Road, StraightRoad
@@ -166,7 +166,7 @@ class Scene:
         return now
 
 
-@uncounted
+@kernel_no_refcount
 def _finite(ego: Any, others: Any) -> bool:
     """Whether all rows are within `LEAST` and `MOST`."""
     for c in range(len(ego)):

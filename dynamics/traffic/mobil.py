@@ -17,10 +17,21 @@ import math
 
 import numpy as np
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.state import BoolArray, FloatArray, IntArray
 
-__all__ = ["COMFORT", "GAP", "IMPOSED", "LEAST_GAIN", "TIME", "TWICE_ROOT", "desired_gap", "gain_of", "gains", "gap_by"]
+__all__ = [
+    "COMFORT",
+    "GAP",
+    "IMPOSED",
+    "LEAST_GAIN",
+    "TIME",
+    "TWICE_ROOT",
+    "desired_gap",
+    "desired_gap_with",
+    "lane_change_incentive",
+    "lane_change_incentives",
+]
 
 GAP, TIME, TWICE_ROOT = 10.0, 1.5, 2.0 * math.sqrt(15.0)
 """IDM's d0 [m], T [s] and 2 sqrt(a b) [m/s^2]."""
@@ -35,8 +46,8 @@ LEAST_GAIN = 0.2
 """Least gain in acceleration of a lane change [m/s^2]."""
 
 
-@inlined
-def gap_by(distance: float, time: float, twice_root: float, v: float, closing: float) -> float:
+@kernel_inline
+def desired_gap_with(distance: float, time: float, twice_root: float, v: float, closing: float) -> float:
     """IDM's desired gap d* to the leader [m], by a driver's d0 [m], T [s] and 2 sqrt(a b) [m/s^2].
 
     Parameters
@@ -47,20 +58,20 @@ def gap_by(distance: float, time: float, twice_root: float, v: float, closing: f
     return distance + v * time + v * closing / twice_root
 
 
-@inlined
+@kernel_inline
 def desired_gap(v: float, closing: float) -> float:
     """IDM's desired gap d* [m], by the constants of `IDMVehicle`, at speed `v` and closing speed `closing` [m/s]."""
-    return gap_by(GAP, TIME, TWICE_ROOT, v, closing)
+    return desired_gap_with(GAP, TIME, TWICE_ROOT, v, closing)
 
 
-@inlined
-def _held_up(v: float, closing: float, gap: float) -> float:
+@kernel_inline
+def _gap_ratio(v: float, closing: float, gap: float) -> float:
     """Ratio d* / d of a vehicle to its leader, at a distance of centres `gap` [m]."""
     return desired_gap(v, closing) / max(gap, 1e-2)
 
 
-@inlined
-def _pays(v: float, now: float, gap: float, speed: float, back: float, behind: float, slack: float) -> bool:
+@kernel_inline
+def _mobil_permits(v: float, now: float, gap: float, speed: float, back: float, behind: float, slack: float) -> bool:
     """Whether MOBIL permits a lane change.
 
     Parameters
@@ -68,22 +79,22 @@ def _pays(v: float, now: float, gap: float, speed: float, back: float, behind: f
     v : speed of the vehicle [m/s]. now : (d* / d)^2 to the old leader.
     gap, speed : distance [m] and speed [m/s] of the new leader.
     back, behind : distance [m] and speed [m/s] of the new follower.
-    slack : as in `gains`.
+    slack : as in `lane_change_incentives`.
     """
-    gain = COMFORT * (now - _held_up(v, v - speed, gap) ** 2)
-    imposed = _held_up(behind, behind - v, back)
+    gain = COMFORT * (now - _gap_ratio(v, v - speed, gap) ** 2)
+    imposed = _gap_ratio(behind, behind - v, back)
     return gain >= LEAST_GAIN - slack and imposed <= IMPOSED + slack
 
 
-@inlined
-def _stays(r: float, across: float, center: float, sight: float) -> bool:
+@kernel_inline
+def _counts_in_lane(r: float, across: float, center: float, sight: float) -> bool:
     """Whether a vehicle at r [m], with lateral speed `across` [m/s], counts as in a lane: now, and after `_LEAVES`
     seconds."""
     return abs(r - center) <= sight and abs(r + _LEAVES * across - center) <= sight
 
 
-@inlined
-def gain_of(
+@kernel_inline
+def lane_change_incentive(
     j: int,
     states: FloatArray,
     across: FloatArray,
@@ -99,11 +110,11 @@ def gain_of(
 ) -> None:
     """Whether vehicle `j` would gain by a change into the lane below its own in r, and into the one above, `out` (2,),
     written. Only lanes `asked` for (2,) are computed; the others are False. The other parameters are those of
-    `gains`."""
+    `lane_change_incentives`."""
     s, v, own = states[j, 0], states[j, 3], centers[lane[j]]
     now, ahead = 0.0, ego[0] - s
     if ahead >= 0 and (abs(ego[1] - own) <= sight or low[j] < ego[1] < high[j]):
-        now = _held_up(v, v - ego[3], ahead) ** 2
+        now = _gap_ratio(v, v - ego[3], ahead) ** 2
     # Of the lanes below and above: distance and speed of the next vehicle ahead, and of the next behind.
     gap0, gap1, back0, back1 = np.inf, np.inf, np.inf, np.inf
     speed0, speed1, behind0, behind1 = 0.0, 0.0, 0.0, 0.0
@@ -114,23 +125,23 @@ def gain_of(
             continue
         ahead, r = states[i, 0] - s, states[i, 1]
         if ahead >= 0 and (abs(r - own) <= sight or low[i] < own < high[i]):
-            now = max(now, _held_up(v, v - states[i, 3], ahead) ** 2)
-        if _stays(r, across[i], low0, sight):
+            now = max(now, _gap_ratio(v, v - states[i, 3], ahead) ** 2)
+        if _counts_in_lane(r, across[i], low0, sight):
             if 0 <= ahead < gap0:
                 gap0, speed0 = ahead, states[i, 3]
             elif -back0 < ahead < 0:
                 back0, behind0 = -ahead, states[i, 3]
-        if _stays(r, across[i], high1, sight):
+        if _counts_in_lane(r, across[i], high1, sight):
             if 0 <= ahead < gap1:
                 gap1, speed1 = ahead, states[i, 3]
             elif -back1 < ahead < 0:
                 back1, behind1 = -ahead, states[i, 3]
-    out[0] = below and _pays(v, now, gap0, speed0, back0, behind0, slack)
-    out[1] = above and _pays(v, now, gap1, speed1, back1, behind1, slack)
+    out[0] = below and _mobil_permits(v, now, gap0, speed0, back0, behind0, slack)
+    out[1] = above and _mobil_permits(v, now, gap1, speed1, back1, behind1, slack)
 
 
-@uncounted
-def gains(
+@kernel_no_refcount
+def lane_change_incentives(
     states: FloatArray,
     across: FloatArray,
     lane: IntArray,
@@ -163,4 +174,4 @@ def gains(
     for j in range(states.shape[0]):
         out[j, 0] = out[j, 1] = False
         if asked[j, 0] or asked[j, 1]:
-            gain_of(j, states, across, lane, low, high, centers, sight, slack, ego, asked[j], out[j])
+            lane_change_incentive(j, states, across, lane, low, high, centers, sight, slack, ego, asked[j], out[j])

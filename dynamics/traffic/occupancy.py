@@ -27,24 +27,32 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.roads.straight import Road
 from dynamics.state import FloatArray, IntArray, RoadState, Vehicle
 from dynamics.traffic.assumptions import Assumptions
-from dynamics.traffic.occupancy_kernels import Lanes, floors, front_of, fronts, rears, spend, strips
-from dynamics.traffic.reaction import brakings
+from dynamics.traffic.occupancy_kernels import (
+    LaneMarkings,
+    front_of,
+    fronts,
+    least_rest_positions,
+    rears,
+    touched_lanes,
+    update_turning_allowances,
+)
+from dynamics.traffic.reaction import hardest_braking
 from dynamics.traffic.tables import Bodies, Motion, Tables, bodies_of, motion_of
 
 __all__ = [
-    "Before",
     "Occupancy",
-    "Surroundings",
+    "OtherVehicles",
+    "PreviousVehicles",
+    "buffer_shape",
     "constant_velocity",
+    "derive_tables",
     "horizons",
-    "in_order",
-    "look",
     "motion_settings",
-    "room_for",
+    "order_by_position",
 ]
 
 
@@ -118,8 +126,8 @@ def motion_settings(a: Assumptions, dt: float) -> tuple[Motion, FloatArray]:
     return motion, np.array([*motion, a.lean, a.waver], dtype=float)
 
 
-@uncounted
-def in_order(states: FloatArray, order: IntArray) -> None:
+@kernel_no_refcount
+def order_by_position(states: FloatArray, order: IntArray) -> None:
     """The vehicles in decreasing order of s, `order` (m,), written. Vehicles with an unknown position (NaN) come
     last."""
     # Insertion sort from the last row to the first: most often the rows are in increasing order of s.
@@ -137,8 +145,8 @@ def in_order(states: FloatArray, order: IntArray) -> None:
         order[k] = i
 
 
-@inlined
-def look(
+@kernel_inline
+def derive_tables(
     others: FloatArray,
     states: FloatArray,
     growth: FloatArray,
@@ -158,44 +166,44 @@ def look(
     order: IntArray,
     ways: FloatArray,
 ) -> None:
-    """Fill in the tables of `Surroundings`.
+    """Fill in the tables of `OtherVehicles`.
 
     Parameters
     ----------
-    others, states : vehicle rows (m, 7) and road states (m, 4). growth, stretch : see `strips` and `rear_of`.
+    others, states : vehicle rows (m, 7) and road states (m, 4). growth, stretch : see `touched_lanes` and `rear_of`.
     centers, width : of the lanes [m]. settings : the numbers of `motion_settings`.
-    lap, ego : see `brakings`.
+    lap, ego : see `hardest_braking`.
     states0, numbers0, recent0 : of the frame before; of no vehicles if there is none.
     marks, numbers, brakes, recent : `Tables`, written.
-    order, ways : buffers, overwritten, (m,) and `room_for`.
+    order, ways : buffers, overwritten, (m,) and `buffer_shape`.
     """
     motion, bodies, m = motion_of(settings), bodies_of(marks, numbers, brakes, recent), states.shape[0]
-    strips(others, states, growth, Lanes(centers, width, settings[17], settings[18], motion.dt), bodies)
+    touched_lanes(others, states, growth, LaneMarkings(centers, width, settings[17], settings[18], motion.dt), bodies)
     for i in range(m):
         swing = max(others[i, _LENGTH] / _CAR, 1.0)
         bodies.swing[i], bodies.budget[i], bodies.action[i] = swing, swing * motion.loss, swing * motion.action
     if states0.shape[0] == m:
         before = bodies_of(marks, numbers0, brakes, recent0)
-        spend(states0, before, states, stretch, motion, lap, bodies)
+        update_turning_allowances(states0, before, states, stretch, motion, lap, bodies)
     else:
         for i in range(m):
             for k in range(recent.shape[1]):
                 recent[i, k] = 0.0
-    in_order(states, order)
-    brakings(others, states, stretch, motion, lap, ego, order, bodies, ways)
-    floors(others, states, stretch, motion, order, bodies)
+    order_by_position(states, order)
+    hardest_braking(others, states, stretch, motion, lap, ego, order, bodies, ways)
+    least_rest_positions(others, states, stretch, motion, order, bodies)
     for i in range(m):
         nose = ways[0, 0]
         front_of(i, states, stretch, motion, bodies, 0, 2, nose)
         bodies.noses[0, i], bodies.noses[1, i] = nose[0], nose[1]
 
 
-def room_for(m: int, frames: int) -> tuple[int, int, int]:
-    """Shape of the buffer `ways` of `look`, for m vehicles and a number of coming frames."""
+def buffer_shape(m: int, frames: int) -> tuple[int, int, int]:
+    """Shape of the buffer `ways` of `derive_tables`, for m vehicles and a number of coming frames."""
     return 7, max(frames, 3), max(frames, m, 2)
 
 
-class Before(NamedTuple):
+class PreviousVehicles(NamedTuple):
     """The others of the scene before, in the present order: vehicle rows (m, 7), road states (m, 4), tables."""
 
     others: FloatArray
@@ -203,7 +211,7 @@ class Before(NamedTuple):
     tables: Tables
 
 
-class Surroundings:
+class OtherVehicles:
     """The other vehicles of one scene, and where they can come to be.
 
     Parameters
@@ -232,7 +240,7 @@ class Surroundings:
         road: Road,
         assumptions: Assumptions,
         dt: float = 1 / 15,
-        before: Surroundings | Before | None = None,
+        before: OtherVehicles | PreviousVehicles | None = None,
         ego: float = float("nan"),
     ) -> None:
         others, states = np.ascontiguousarray(others, float), np.ascontiguousarray(states, float)
@@ -243,8 +251,8 @@ class Surroundings:
         centers, width, growth, self.stretch = road.centers, float(road.width), _NO_GROWTH, _STRAIGHT
         if road.bends is not None and len(states):
             growth, bends = np.array([road.bends.growth(*size) for size in others[:, _SIZE]]), road.bends
-            lanes = Lanes(centers, width, assumptions.lean, assumptions.waver, self.dt)
-            strips(others, states, growth, lanes, self.bodies)
+            lanes = LaneMarkings(centers, width, assumptions.lean, assumptions.waver, self.dt)
+            touched_lanes(others, states, growth, lanes, self.bodies)
             ends = bends.stretch(self.low), bends.stretch(self.high)
             self.stretch = np.stack([np.minimum(ends[0][0], ends[1][0]), np.maximum(ends[0][1], ends[1][1])])
         last: tuple[FloatArray, FloatArray, FloatArray] = (_NOBODY, self.tables.numbers, self.tables.recent)
@@ -253,7 +261,9 @@ class Surroundings:
         scene = (others, states, growth, self.stretch, centers, width, self.settings, self.lap, float(ego))
         marks, numbers, brakes, recent = self.tables
         order = np.empty(len(states), np.intp)
-        look(*scene, *last, marks, numbers, brakes, recent, order, np.empty(room_for(len(states), brakes.shape[1])))
+        derive_tables(
+            *scene, *last, marks, numbers, brakes, recent, order, np.empty(buffer_shape(len(states), brakes.shape[1]))
+        )
 
     @cached_property
     def bodies(self) -> Bodies:

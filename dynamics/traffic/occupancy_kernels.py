@@ -10,18 +10,29 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.state import FloatArray, IntArray, Vehicle
 from dynamics.traffic.tables import Bodies, Motion
 
-__all__ = ["Lanes", "apart", "coming_place", "floors", "front_of", "fronts", "rear_of", "rears", "spend", "strips"]
+__all__ = [
+    "LaneMarkings",
+    "apart",
+    "front_of",
+    "fronts",
+    "least_next_position",
+    "least_rest_positions",
+    "rear_of",
+    "rears",
+    "touched_lanes",
+    "update_turning_allowances",
+]
 
 _SPEED, _LENGTH, _WIDTH, _CRASHED = int(Vehicle.SPEED), int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED)
 _ENDLESS = 1e6
 """Distance covered by a vehicle that is assumed never to stop [m]."""
 
 
-class Lanes(NamedTuple):
+class LaneMarkings(NamedTuple):
     """Lanes of a road, and tolerances at their markings.
 
     Attributes
@@ -39,8 +50,10 @@ class Lanes(NamedTuple):
     dt: float
 
 
-@uncounted
-def strips(others: FloatArray, states: FloatArray, growth: FloatArray, lanes: Lanes, bodies: Bodies) -> None:
+@kernel_no_refcount
+def touched_lanes(
+    others: FloatArray, states: FloatArray, growth: FloatArray, lanes: LaneMarkings, bodies: Bodies
+) -> None:
     """Fill in `lane`, `first`, `last`, `low`, `high` and `reach` of `bodies`; NaN for a vehicle with NaN in its row.
 
     Parameters
@@ -94,8 +107,8 @@ def strips(others: FloatArray, states: FloatArray, growth: FloatArray, lanes: La
         reach[i] = shape[2] + along
 
 
-@uncounted
-def spend(
+@kernel_no_refcount
+def update_turning_allowances(
     states0: FloatArray,
     bodies0: Bodies,
     states: FloatArray,
@@ -134,7 +147,7 @@ def spend(
             actions[i] = min(actions[i], swing * motion.burst - within)
 
 
-@inlined
+@kernel_inline
 def _lost(budget: float, action: float, slow: float, time: float, motion: Motion) -> float:
     """Greatest distance that a vehicle can have lost by turning after `time` [s], at a speed of at least `slow` [m/s],
     [m]."""
@@ -143,7 +156,7 @@ def _lost(budget: float, action: float, slow: float, time: float, motion: Motion
     return min(budget, action / max(slow, motion.slow))
 
 
-@inlined
+@kernel_inline
 def apart(first: IntArray, last: IntArray, low: FloatArray, high: FloatArray, i: int, j: int) -> bool:
     """Whether vehicles i and j are in different lanes, by arrays of `Bodies` (m,). The arrays are parameters, since it
     is slow to read them from a tuple in a loop."""
@@ -153,13 +166,13 @@ def apart(first: IntArray, last: IntArray, low: FloatArray, high: FloatArray, i:
     return first[j] > last[i] or last[j] < first[i]
 
 
-@inlined
+@kernel_inline
 def _rate(brakes: FloatArray, i: int, k: int, motion: Motion) -> float:
     """Hardest braking of vehicle i at the coming frame k [m/s^2]."""
     return brakes[i, k] if k < brakes.shape[1] else motion.braking
 
 
-@uncounted
+@kernel_no_refcount
 def _braking_way(i: int, v: float, wrecked: bool, brakes: FloatArray, motion: Motion) -> tuple[float, float]:
     """Least distance that a vehicle covers until it is slower than `Motion.slow`, braking from now on [m], and the time
     that it takes [s]."""
@@ -177,8 +190,8 @@ def _braking_way(i: int, v: float, wrecked: bool, brakes: FloatArray, motion: Mo
         speed, k = speed - rate * motion.dt, k + 1
 
 
-@uncounted
-def floors(
+@kernel_no_refcount
+def least_rest_positions(
     others: FloatArray, states: FloatArray, stretch: FloatArray, motion: Motion, order: IntArray, bodies: Bodies
 ) -> None:
     """Fill in `floor` of `bodies`: the least s at which a vehicle's centre comes to rest. It is less if the vehicle may
@@ -202,7 +215,7 @@ def floors(
         floor[i] = least
 
 
-@inlined
+@kernel_inline
 def rear_of(
     j: int,
     others: FloatArray,
@@ -262,8 +275,8 @@ def rear_of(
         out[k] = rear
 
 
-@inlined
-def coming_place(j: int, states: FloatArray, stretch: FloatArray, motion: Motion, bodies: Bodies) -> float:
+@kernel_inline
+def least_next_position(j: int, states: FloatArray, stretch: FloatArray, motion: Motion, bodies: Bodies) -> float:
     """Least s of the centre of vehicle `j` after one frame [m], by the bounds of `rear_of`."""
     v, floor, recent, along, back = states[j, 3], bodies.floor[j], bodies.recent, 0.0, 0.0
     if v >= motion.slow:
@@ -280,7 +293,7 @@ def coming_place(j: int, states: FloatArray, stretch: FloatArray, motion: Motion
     return max(place - back, floor) if place > floor else place
 
 
-@uncounted
+@kernel_no_refcount
 def rears(
     rows: IntArray,
     others: FloatArray,
@@ -301,7 +314,7 @@ def rears(
             out[n, frames - 1] = min(out[n, frames - 1], bodies.floor[j] - bodies.reach[j])
 
 
-@inlined
+@kernel_inline
 def front_of(
     j: int,
     states: FloatArray,
@@ -325,7 +338,7 @@ def front_of(
             v = min(v + min(motion.acceleration, motion.power / max(v, 1e-3)) * dt, top)
 
 
-@uncounted
+@kernel_no_refcount
 def fronts(
     rows: IntArray, states: FloatArray, stretch: FloatArray, motion: Motion, bodies: Bodies, hold: int, out: FloatArray
 ) -> None:

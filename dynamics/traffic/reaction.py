@@ -20,13 +20,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.state import FloatArray, IntArray, Vehicle
 from dynamics.traffic.mobil import COMFORT, GAP, IMPOSED, TIME, TWICE_ROOT, desired_gap
 from dynamics.traffic.occupancy_kernels import apart
 from dynamics.traffic.tables import Bodies, Motion
 
-__all__ = ["brakings"]
+__all__ = ["hardest_braking"]
 
 _CRASHED = int(Vehicle.CRASHED)
 _FAR = 600.0
@@ -42,7 +42,7 @@ _LANE, _TOWARDS = 5.0, 14.0
 [m/s]."""
 
 
-@uncounted
+@kernel_no_refcount
 def _slowest(
     v: float,
     backwards: float,
@@ -70,17 +70,17 @@ def _slowest(
         v = max(min(v - brakes[k] * dt, v * (1 - dt) if wrecked else v), backwards)
 
 
-@inlined
-def _asked(d: float, fast: float, slow: float, motion: Motion) -> float:
+@kernel_inline
+def _required_braking(d: float, fast: float, slow: float, motion: Motion) -> float:
     """Braking by IDM at speed `fast`, for a leader at distance d and at speed `slow` [m/s^2]."""
     share = desired_gap(fast, max(fast - slow, 0.0)) / d
     rate = min(_SCALE * COMFORT * (share * share) + _SLACK, motion.braking)
     return rate if d > 1.0 else motion.braking
 
 
-@inlined
-def _asks(d: float, fast: float, slow: float, motion: Motion) -> bool:
-    """Whether `_asked` exceeds `Motion.calm`. It divides only where rounding could change the answer."""
+@kernel_inline
+def _requires_braking(d: float, fast: float, slow: float, motion: Motion) -> bool:
+    """Whether `_required_braking` exceeds `Motion.calm`. It divides only where rounding could change the answer."""
     if d > 1.0:
         wanted = GAP + TIME * fast + fast * max(fast - slow, 0.0) * _PER_TWICE_ROOT
         square, limit = wanted * wanted, (motion.calm - _SLACK) * _PER_SCALE * (d * d)
@@ -88,11 +88,11 @@ def _asks(d: float, fast: float, slow: float, motion: Motion) -> bool:
             return False
         if square > limit * (1 + _ROUNDING):
             return motion.braking > motion.calm
-    return _asked(d, fast, slow, motion) > motion.calm
+    return _required_braking(d, fast, slow, motion) > motion.calm
 
 
-@inlined
-def _lets_in(v: float, closing: float, far: float) -> bool:
+@kernel_inline
+def _permits_cut_in(v: float, closing: float, far: float) -> bool:
     """Whether MOBIL permits a vehicle to move in ahead of another. It divides only where rounding could change the
     answer.
 
@@ -122,15 +122,15 @@ class _Extremes(NamedTuple):
     slowest_way: FloatArray
 
 
-@inlined
-def _little(d: float, fast: float, slow: float, braking: float) -> bool:
-    """Whether `_asked` is certainly less than `braking` [m/s^2], by more than the rounding error."""
+@kernel_inline
+def _surely_less(d: float, fast: float, slow: float, braking: float) -> bool:
+    """Whether `_required_braking` is certainly less than `braking` [m/s^2], by more than the rounding error."""
     wanted = GAP + TIME * fast + fast * max(fast - slow, 0.0) * _PER_TWICE_ROOT
     return d > 1.0 and wanted * wanted < (braking - _SLACK) * _PER_SCALE * (d * d) * (1 - _ROUNDING)
 
 
-@inlined
-def _press(
+@kernel_inline
+def _raise_braking(
     i: int,
     j: int,
     ahead: float,
@@ -160,26 +160,26 @@ def _press(
             far, v = ahead + x.fast_way[k, j] - x.slowest_way[k, i], x.slowest[k, i]
             # MOBIL of a vehicle from beyond the next lane considers the vehicles in that lane now, not those that enter
             # it too.
-            if far > 0 and (first > 0 or _lets_in(v, v - x.fast[k, j], far)):
+            if far > 0 and (first > 0 or _permits_cut_in(v, v - x.fast[k, j], far)):
                 begin = k
                 break
     for k in range(begin, end):
         d = near + x.slow_way[k, j] - x.fast_way[k, i] - back * k
-        if _little(d, x.fast[k, i], x.slow[k, j], brakes[k]):
+        if _surely_less(d, x.fast[k, i], x.slow[k, j], brakes[k]):
             continue  # another vehicle requires more
-        rate = _asked(d, x.fast[k, i], x.slow[k, j], motion)
+        rate = _required_braking(d, x.fast[k, i], x.slow[k, j], motion)
         brakes[k] = max(brakes[k], rate)
         if rate >= motion.braking:
             return k + 1
     return end
 
 
-@uncounted
+@kernel_no_refcount
 def _extremes(
     others: FloatArray, states: FloatArray, stretch: FloatArray, motion: Motion, frames: int, ways: FloatArray
 ) -> None:
-    """Fill in `frames` rows of `_Extremes`, the first six arrays of `ways` (see `brakings`), as if each vehicle could
-    brake at `Motion.braking` at once.
+    """Fill in `frames` rows of `_Extremes`, the first six arrays of `ways` (see `hardest_braking`), as if each vehicle
+    could brake at `Motion.braking` at once.
 
     The loops go over frames, then over vehicles, one quantity at a time and in contiguous rows, so that the compiler
     vectorises them.
@@ -219,8 +219,8 @@ def _extremes(
                 slowest_way[k, i] = min(slowest_way[k, i] * least, slowest_way[k, i] * most)
 
 
-@uncounted
-def brakings(
+@kernel_no_refcount
+def hardest_braking(
     others: FloatArray,
     states: FloatArray,
     stretch: FloatArray,
@@ -239,7 +239,7 @@ def brakings(
     stretch : least and greatest metres of s in a metre driven, (2, m); no columns on a straight road.
     lap : length of a closed road, 0 of an open one [m].
     ego : position of the ego along the road [m], NaN without one. A vehicle behind it may brake at `Motion.braking`.
-    order : the vehicles in the order of `dynamics.traffic.occupancy.in_order`, (m,).
+    order : the vehicles in the order of `dynamics.traffic.occupancy.order_by_position`, (m,).
     ways : buffer, overwritten, (7, K or 3, at least m and K).
     """
     m, frames, last = states.shape[0], bodies.brakes.shape[1], bodies.brakes.shape[1] - 1
@@ -284,16 +284,16 @@ def brakings(
             # The distance is concave in time, so it is least at the first or the last frame. The desired gap grows.
             near, k = ahead - max(budget[j], 0.0), end - 1
             d = near + x.slow_way[k, j] - x.fast_way[k, i] - back * k
-            if _little(min(near, d), x.fast[k, i], x.slow[k, j], motion.calm):
+            if _surely_less(min(near, d), x.fast[k, i], x.slow[k, j], motion.calm):
                 continue  # it requires nothing before frame `end`
             d = near + goes[j] - most - back * last
-            if not _asks(min(near, d), fast, slows[j], motion):
+            if not _requires_braking(min(near, d), fast, slows[j], motion):
                 continue  # it requires nothing
             first = -1
             if apart(starts, ends, low, high, i, j):
                 first = max(int((abs(states[j, 1] - states[i, 1]) - _LANE) / (_TOWARDS * motion.dt)), 0)
             if first < end and (first >= 0 or ahead >= 0):
-                end = _press(i, j, ahead, near, first, x, motion, brakes, end)
+                end = _raise_braking(i, j, ahead, near, first, x, motion, brakes, end)
                 if end == 1 and brakes[0] >= motion.braking:
                     break
         for k in range(end, frames):

@@ -38,14 +38,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import inlined, numbers_of, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount, row_as_tuple
 from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
 from dynamics.traffic.assumptions import Assumptions
-from dynamics.traffic.occupancy import Before, Surroundings
-from dynamics.traffic.occupancy_kernels import coming_place
+from dynamics.traffic.occupancy import OtherVehicles, PreviousVehicles
+from dynamics.traffic.occupancy_kernels import least_next_position
 from dynamics.traffic.tables import bodies_of, motion_of
 
-__all__ = ["Ego", "Motions", "Rule", "footprint", "gap_between", "judge_motions", "limits_of", "permits"]
+__all__ = [
+    "EgoFootprint",
+    "RoadRule",
+    "RuleViolations",
+    "check_motions",
+    "footprint",
+    "gap_between",
+    "limits_of",
+    "rule_violations",
+]
 
 _LENGTH, _WIDTH, _CRASHED = int(Vehicle.LENGTH), int(Vehicle.WIDTH), int(Vehicle.CRASHED)
 _SPEED, _WAY, _LANES, _REVERSING, _DISTANCE, _CRASH, _BRAKING, _APPEARED, _SIZE = 1, 2, 4, 8, 16, 32, 64, 128, 256
@@ -62,7 +71,7 @@ _SIDEWAYS = 1.0001
 does)."""
 
 
-class Rule(IntFlag):
+class RoadRule(IntFlag):
     """The rules of the road, as bits. The text of a rule is its name in reports.
 
     Examples
@@ -86,21 +95,21 @@ class Rule(IntFlag):
         return str(self.name).lower()
 
 
-class Motions(NamedTuple):
+class RuleViolations(NamedTuple):
     """The rules that the vehicles violated in a frame.
 
     Attributes
     ----------
-    broken : violations of rules 1, 2, 5 and 6 by each vehicle, (m,) of `Rule` bits.
+    broken : violations of rules 1, 2, 5 and 6 by each vehicle, (m,) of `RoadRule` bits.
     grown : of rules 2, 3, 4, 7 and 9, which count as violations only where the ego's fail-safe loses its room, (m,) of
-        `Rule` bits.
+        `RoadRule` bits.
     """
 
     broken: IntArray
     grown: IntArray
 
 
-class Ego(NamedTuple):
+class EgoFootprint(NamedTuple):
     """The ego in the world frame, for the check of the other vehicles.
 
     Attributes
@@ -124,7 +133,7 @@ class Ego(NamedTuple):
 
 
 class _Limits(NamedTuple):
-    """The limits that `judge_motions` checks, with the rounding tolerance.
+    """The limits that `check_motions` checks, with the rounding tolerance.
 
     Attributes
     ----------
@@ -143,8 +152,8 @@ class _Limits(NamedTuple):
     frames: float
 
 
-@uncounted
-def gap_between(ego: Ego, along: float, across: float, rows: FloatArray, i: int, dt: float) -> float:
+@kernel_no_refcount
+def gap_between(ego: EgoFootprint, along: float, across: float, rows: FloatArray, i: int, dt: float) -> float:
     """Greatest gap along the directions of the sides of two rectangles [m], see `dynamics.scenes.rectangles`, while
     both move for `dt` along their headings [s].
 
@@ -167,8 +176,8 @@ def gap_between(ego: Ego, along: float, across: float, rows: FloatArray, i: int,
     return max(max(mine, beside), max(theirs, by))
 
 
-@inlined
-def judge_motions(
+@kernel_inline
+def check_motions(
     rows0: FloatArray,
     states0: FloatArray,
     marks0: IntArray,
@@ -184,12 +193,12 @@ def judge_motions(
     stretch: FloatArray,
     settings: FloatArray,
     behind: BoolArray,
-    ego: Ego,
+    ego: EgoFootprint,
     row: FloatArray,
     broken: IntArray,
     grown: IntArray,
 ) -> None:
-    """`permits` as a kernel: fill in `broken` and `grown`, (m,).
+    """`rule_violations` as a kernel: fill in `broken` and `grown`, (m,).
 
     Parameters
     ----------
@@ -197,9 +206,9 @@ def judge_motions(
         scene before.
     rows, states, marks, numbers, brakes, recent : the same of this scene.
     stretch : see `dynamics.traffic.occupancy_kernels.rear_of`. settings : the numbers of `Motion`.
-    behind, ego : see `permits`. row : the limits, of `limits_of`.
+    behind, ego : see `rule_violations`. row : the limits, of `limits_of`.
     """
-    limits, motion = _Limits(*numbers_of(row, 9)), motion_of(settings)
+    limits, motion = _Limits(*row_as_tuple(row, 9)), motion_of(settings)
     bodies0, bodies = bodies_of(marks0, numbers0, brakes0, recent0), bodies_of(marks, numbers, brakes, recent)
     frames = int(limits.frames)
     low0, high0, floor0, low, high, floor = (
@@ -255,7 +264,7 @@ def judge_motions(
             forth = coming <= max(v, 0.0) * motion.dt + _ROUNDING
             if stretch.shape[1] > 0:
                 coming = min(coming * stretch[0, i], coming * stretch[1, i])
-            least = coming_place(i, states, stretch, motion, bodies) - _ROUNDING
+            least = least_next_position(i, states, stretch, motion, bodies) - _ROUNDING
             if not (forth and states[i, 0] + coming >= least):
                 more |= _WAY
         if not (low[i] >= low0[i] - _ROUNDING and high[i] <= high0[i] + _ROUNDING):
@@ -279,7 +288,7 @@ def judge_motions(
 
 @lru_cache(maxsize=16)
 def limits_of(a: Assumptions, period: float, lap: float, frames: int) -> FloatArray:
-    """The limits that `judge_motions` checks, (9,).
+    """The limits that `check_motions` checks, (9,).
 
     Parameters
     ----------
@@ -299,14 +308,17 @@ def limits_of(a: Assumptions, period: float, lap: float, frames: int) -> FloatAr
     return np.array(limits, dtype=float)
 
 
-def footprint(ego: FloatArray, longitudinal: float, lateral: float, crashed: bool = False) -> Ego:
-    """The ego as `permits` takes it, from a vehicle row (7,) and its buffer along and across its heading [m]."""
+def footprint(ego: FloatArray, longitudinal: float, lateral: float, crashed: bool = False) -> EgoFootprint:
+    """The ego as `rule_violations` takes it, from a vehicle row (7,) and its buffer along and across its heading
+    [m]."""
     x, y, heading, speed, length, width = ego[: Vehicle.CRASHED].tolist()
     along, across = 0.5 * length, 0.5 * width
-    return Ego(x, y, heading, speed, along + longitudinal, across + lateral, along, across, crashed)
+    return EgoFootprint(x, y, heading, speed, along + longitudinal, across + lateral, along, across, crashed)
 
 
-def permits(before: Surroundings | Before, after: Surroundings, period: float, behind: BoolArray, ego: Ego) -> Motions:
+def rule_violations(
+    before: OtherVehicles | PreviousVehicles, after: OtherVehicles, period: float, behind: BoolArray, ego: EgoFootprint
+) -> RuleViolations:
     """Which rules the vehicles violated between two scenes, `period` seconds apart.
 
     Parameters
@@ -333,7 +345,7 @@ def permits(before: Surroundings | Before, after: Surroundings, period: float, b
     """
     limits = limits_of(after.assumptions, float(period), after.lap, max(round(period / after.dt), 1))
     m = len(after.states)
-    found = Motions(np.zeros(m, np.intp), np.zeros(m, np.intp))
+    found = RuleViolations(np.zeros(m, np.intp), np.zeros(m, np.intp))
     old, new = (before.others, before.states, *before.tables), (after.others, after.states, *after.tables)
-    judge_motions(*old, *new, after.stretch, after.settings, behind, ego, limits, *found)
+    check_motions(*old, *new, after.stretch, after.settings, behind, ego, limits, *found)
     return found

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import inlined, numbers_of
+from dynamics.compiled import kernel_inline, row_as_tuple
 from dynamics.state import FloatArray, IntArray
 
 __all__ = ["Bodies", "Motion", "Tables", "bodies_of", "motion_of"]
@@ -104,7 +104,7 @@ class Tables(NamedTuple):
         return cls(np.empty((3, m), np.intp), np.empty((9, m)), np.empty((m, coming)), np.zeros((m, past)))
 
 
-@inlined
+@kernel_inline
 def bodies_of(marks: IntArray, numbers: FloatArray, brakes: FloatArray, recent: FloatArray) -> Bodies:
     """Name the rows of `Tables`."""
     lane, first, last = marks[0], marks[1], marks[2]
@@ -113,7 +113,7 @@ def bodies_of(marks: IntArray, numbers: FloatArray, brakes: FloatArray, recent: 
     return Bodies(lane, first, last, low, high, reach, budget, action, swing, brakes, recent, floor, noses)
 
 
-@inlined
+@kernel_inline
 def motion_of(row: FloatArray) -> Motion:
     """Name the numbers of a `Motion`, (17,)."""
-    return Motion(*numbers_of(row, 17))
+    return Motion(*row_as_tuple(row, 17))

@@ -22,9 +22,9 @@ import numpy as np
 
 from dynamics.state import FloatArray, State
 
-__all__ = ["LENGTH", "MAX_SPEED", "WIDTH", "Columns", "slip_of", "slip_step", "step", "step_expression"]
+__all__ = ["LENGTH", "MAX_SPEED", "WIDTH", "StateExpressions", "slip_of", "slip_step", "step", "step_expression"]
 
-Columns = tuple[Any, Any, Any, Any]
+StateExpressions = tuple[Any, Any, Any, Any]
 """A state as expressions (x, y, psi, v) or (s, r, psi, v): scalars, or columns with one row for each vehicle."""
 
 LENGTH = 5.0
@@ -69,7 +69,7 @@ def step_expression(state: ca.SX, acceleration: ca.SX, steering: ca.SX, dt: floa
     return found
 
 
-def slip_step(state: Columns, acceleration: Any, slip: Any, dt: float) -> Columns:
+def slip_step(state: StateExpressions, acceleration: Any, slip: Any, dt: float) -> StateExpressions:
     """The same step in terms of the sine of the slip angle, element by element: scalars or columns of vehicles."""
     x, y, psi, v = state
     sin, cos, way = ca.sin(psi), ca.cos(psi), v * dt

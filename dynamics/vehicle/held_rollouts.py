@@ -23,10 +23,10 @@ from dynamics.roads.straight import StraightRoad
 from dynamics.state import FloatArray
 from dynamics.vehicle.rollout_kernels import roll_stops, table_of
 
-__all__ = ["HeldRollouts"]
+__all__ = ["BrakingRollouts"]
 
 
-class HeldRollouts:
+class BrakingRollouts:
     """Rollouts for one frame duration and decision period on one road.
 
     Parameters

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.roads.arcs import STRAIGHT
 from dynamics.roads.path import CurvatureProfile, PathRoad
 from dynamics.state import FloatArray, IntArray
@@ -66,7 +66,7 @@ def _table(profile: CurvatureProfile) -> FloatArray:
     return np.stack([breaks[:-1], before, k, after, starts, ends, np.full(k.size, breaks[-1]), k * 0 + profile.closed])
 
 
-@inlined
+@kernel_inline
 def _piece(table: FloatArray, s: float) -> tuple[int, float]:
     """The piece of the path at arc length s [m], and s on the first lap [m]."""
     within = s - table[6, 0] * math.floor(s / table[6, 0]) if table[7, 0] > 0 else s
@@ -80,7 +80,7 @@ def _piece(table: FloatArray, s: float) -> tuple[int, float]:
     return low, within
 
 
-@inlined
+@kernel_inline
 def _project(x: float, y: float, k: float) -> tuple[float, float]:
     """(s, r) [m] of a point (x, y) [m] in the frame of the start of an arc of curvature k [1/m]; see
     `dynamics.roads.arcs`."""
@@ -89,7 +89,7 @@ def _project(x: float, y: float, k: float) -> tuple[float, float]:
     return s, (2 * y - k * (x * x + y * y)) / (1 + math.sqrt(rest * rest + bent * bent))
 
 
-@inlined
+@kernel_inline
 def roll_frame(
     s: float,
     r: float,
@@ -137,7 +137,7 @@ def roll_frame(
     return s + joints + along, across, heading - turned - k * along, speed
 
 
-@inlined
+@kernel_inline
 def slip_at(s: float, r: float, psi: float, v: float, goal: float, table: FloatArray, dt: float) -> float:
     """Sine of the slip angle that steers a road state to lateral position `goal` [m].
 
@@ -159,7 +159,7 @@ def slip_at(s: float, r: float, psi: float, v: float, goal: float, table: FloatA
     return min(max((LENGTH / 2 * KP_HEADING) * angle / v + bend, -MAX_SLIP), MAX_SLIP)
 
 
-@uncounted
+@kernel_no_refcount
 def _step(
     s: float, r: float, psi: float, v: float, a: float, slip: float, table: FloatArray, dt: float
 ) -> tuple[float, float, float, float]:
@@ -167,7 +167,7 @@ def _step(
     return roll_frame(s, r, psi, v, math.sin(psi), math.cos(psi), a, slip, table, dt)
 
 
-@uncounted
+@kernel_no_refcount
 def roll_commands(start: FloatArray, commands: FloatArray, table: FloatArray, dt: float, paths: FloatArray) -> None:
     """Roll out commands (n, frames, 3) from states (n, 4); `paths` (n, frames, 4), states after each frame, written."""
     for i in range(start.shape[0]):
@@ -179,7 +179,7 @@ def roll_commands(start: FloatArray, commands: FloatArray, table: FloatArray, dt
             paths[i, f, 0], paths[i, f, 1], paths[i, f, 2], paths[i, f, 3] = s, r, psi, v
 
 
-@uncounted
+@kernel_no_refcount
 def roll_stop(
     start: FloatArray,
     goal: float,
@@ -206,7 +206,7 @@ def roll_stop(
         path[f, 0], path[f, 1], path[f, 2], path[f, 3] = s, r, psi, v
 
 
-@uncounted
+@kernel_no_refcount
 def roll_targets(
     start: FloatArray,
     centers: FloatArray,
@@ -231,7 +231,7 @@ def roll_targets(
         roll_stop(start, goals[0], goals[1], speeds[i], commit, braking, table, dt, paths[i])
 
 
-@uncounted
+@kernel_no_refcount
 def roll_brakes(
     began: FloatArray, goals: FloatArray, braking: float, table: FloatArray, dt: float, paths: FloatArray
 ) -> None:
@@ -256,7 +256,7 @@ def roll_brakes(
             paths[i, f, 0], paths[i, f, 1], paths[i, f, 2], paths[i, f, 3] = s, r, psi, v
 
 
-@uncounted
+@kernel_no_refcount
 def roll_inputs(start: FloatArray, inputs: FloatArray, table: FloatArray, dt: float, paths: FloatArray) -> None:
     """Roll out inputs (n, frames, 2) from states (n, 4); `paths` (n, frames, 4), states after each frame, written."""
     for i in range(start.shape[0]):
@@ -268,7 +268,7 @@ def roll_inputs(start: FloatArray, inputs: FloatArray, table: FloatArray, dt: fl
             paths[i, f, 0], paths[i, f, 1], paths[i, f, 2], paths[i, f, 3] = s, r, psi, v
 
 
-@uncounted
+@kernel_no_refcount
 def roll_stops(
     start: FloatArray, stops: FloatArray, hold: int, table: FloatArray, dt: float, paths: FloatArray
 ) -> None:

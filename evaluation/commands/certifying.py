@@ -17,9 +17,9 @@ from evaluation.commands.shared_options import (
     EnvConfig,
     EnvId,
     NamedSetting,
-    ask_setting,
     check_jobs,
     check_modes,
+    read_setting,
     split,
 )
 from evaluation.names import ANY, SIMULATORS, check_name, check_policy, check_sensor
@@ -64,14 +64,16 @@ def certify_command(options: CertifyOptions) -> None:
     check_jobs(options.jobs)
     check_name("simulator", options.simulator, SIMULATORS)
     given = None if options.config is None else ShieldConfig.named(options.config)
-    where = ask_setting(options.setting, options.env_id, options.env_config)
+    where = read_setting(options.setting, options.env_id, options.env_config)
     from rich.progress import Progress
 
     from evaluation.report.table import write_table
-    from evaluation.running.certify import Asked, certify, page
+    from evaluation.running.certify import CertifyRun, certify, page
     from evaluation.running.records import config_on
 
-    asked = Asked(where, options.policy, options.episodes, options.seed, config_on(where, given), options.simulator)
+    asked = CertifyRun(
+        where, options.policy, options.episodes, options.seed, config_on(where, given), options.simulator
+    )
     with Progress(console=_err, disable=not _err.is_terminal, transient=True) as bar:
         task = bar.add_task(f"{options.policy} on {where.name}", total=len(asked.parts()))
 
@@ -125,9 +127,11 @@ def rare_command(options: RareOptions) -> None:
     shield_config = ShieldConfig() if options.config is None else ShieldConfig.load(options.config)
     if options.sensor != "exact":
         from evaluation.running.driver import DriverSpec
-        from evaluation.running.records import Variant
+        from evaluation.running.records import ShieldVariant
 
-        variant = Variant() if shield_config.mode == "none" else Variant("env", shield_config, options.perception)
+        variant = (
+            ShieldVariant() if shield_config.mode == "none" else ShieldVariant("env", shield_config, options.perception)
+        )
         _rare_through(
             DriverSpec(where, options.policy, variant, sensor=options.sensor),
             options.samples or 200,

@@ -12,15 +12,15 @@ from rich.console import Console
 
 from evaluation.commands.names import DEMO_POLICY, DEMO_SETTING, EVALUATION_SEED
 from evaluation.commands.options_command import one_option_a_field
-from evaluation.commands.reporting import Form, check_output, check_steps_path, report
+from evaluation.commands.reporting import TableFormat, check_output, check_steps_path, report
 from evaluation.commands.shared_options import (
     EnvConfig,
     EnvId,
-    ask_policies,
-    ask_settings,
     check_jobs,
     check_modes,
     lengths,
+    read_policies,
+    read_settings,
     shard_of,
     split,
 )
@@ -46,7 +46,7 @@ __all__ = ["add_evaluating"]
 _out, _err = Console(), Console(stderr=True, highlight=False)
 
 
-class Door(StrEnum):
+class Placement(StrEnum):
     """Value of `--door`."""
 
     ENV = "env"
@@ -80,12 +80,12 @@ class EvaluateOptions:
         ),
     ] = None
     door: Annotated[
-        Door,
+        Placement,
         typer.Option(
             help="env: ShieldedEnv, around the environment; policy: Shield, around the policy;"
             " actions: Shield that chooses actions without supervision of frames; all: each of them."
         ),
-    ] = Door.ENV
+    ] = Placement.ENV
     perception: Annotated[
         str,
         typer.Option(
@@ -175,7 +175,7 @@ def evaluate_command(options: EvaluateOptions) -> None:
     All rows drive the same seeds. Rates are in percent with 95 % intervals, speeds in m/s,
     distances and margins in m, latencies in ms per decision.
     """
-    form = Form.of(options.markdown, options.latex)
+    form = TableFormat.of(options.markdown, options.latex)
     experiment = _experiment(options)
     from evaluation.experiments.experiment import Stopped
 
@@ -193,7 +193,7 @@ def evaluate_command(options: EvaluateOptions) -> None:
 def _experiment(options: EvaluateOptions) -> Experiment:
     """The experiment that the options describe. All options are checked before slow imports."""
     # The demo's policy reads the demo's observations only, so other environments get a random policy.
-    policies = ask_policies(options.policy or [DEMO_POLICY if options.env_id is None else "random"])
+    policies = read_policies(options.policy or [DEMO_POLICY if options.env_id is None else "random"])
     modes = None if options.shield is None else split(options.shield)
     sensors, perceptions = split([options.sensor]), split([options.perception])
     check_modes(modes or [], perceptions)
@@ -207,7 +207,7 @@ def _experiment(options: EvaluateOptions) -> Experiment:
     check_jobs(options.jobs)
     _check_files(options)
     config = None if options.config is None else ShieldConfig.named(options.config)
-    settings = ask_settings(options.setting, options.env_id, options.env_config)
+    settings = read_settings(options.setting, options.env_id, options.env_config)
 
     from evaluation.experiments import Experiment
     from evaluation.learning.normalised_model import statistics_beside
@@ -220,7 +220,9 @@ def _experiment(options: EvaluateOptions) -> Experiment:
         policies,
         settings,
         modes,
-        [each.value for each in Door if each is not Door.ALL] if options.door is Door.ALL else [options.door.value],
+        [each.value for each in Placement if each is not Placement.ALL]
+        if options.door is Placement.ALL
+        else [options.door.value],
         perceptions,
         sensors,
         config=config,
@@ -274,7 +276,7 @@ def merge_command(
     latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX tables, for the package booktabs.")] = False,
 ) -> None:
     """Merge the shards of one experiment, and print its tables; shards of different experiments are an error."""
-    form = Form.of(markdown, latex)
+    form = TableFormat.of(markdown, latex)
     check_output(output, force)
     if steps is not None:
         check_steps_path(steps, force, False)

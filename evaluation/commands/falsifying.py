@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from evaluation.commands.reporting import check_writable
-from evaluation.commands.shared_options import EnvConfig, EnvId, NamedSetting, ask_setting, check_jobs
+from evaluation.commands.shared_options import EnvConfig, EnvId, NamedSetting, check_jobs, read_setting
 from evaluation.names import ANY, TRAFFIC, check_name, check_policy
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
@@ -73,7 +73,7 @@ def falsify_command(options: FalsifyOptions) -> None:
     check_name("drivers", options.drivers, TRAFFIC)
     if options.policy != ANY:
         check_policy(options.policy)
-    where = ask_setting(options.setting, options.env_id, options.env_config)
+    where = read_setting(options.setting, options.env_id, options.env_config)
     if options.drivers != "idm":
         if options.policy != ANY:
             raise ConfigError(f"among {options.drivers} drivers the policy is {ANY!r}, not {options.policy!r}")
@@ -114,7 +114,7 @@ def _among(
         table.add_row("median clearance from the buffer at random \\[m]", f"{found.median:.3f}")
         table.add_row("clearance from the buffer in the saved episode \\[m]", f"{found.find.clearance:.3f}")
         table.add_row("crashes of the ego", str(found.crashed))
-        table.add_row("broken rules", _told(found.by_rule) or "none")
+        table.add_row("broken rules", _counts_text(found.by_rule) or "none")
         find, hole = found.find, found.hole
     else:
         if drivers != "bold":
@@ -124,7 +124,7 @@ def _among(
         table.add_row(
             "seeds with a crash or breach without a recorded violation", ", ".join(map(str, met.holes)) or "none"
         )
-        named = _told(met.by_rule)
+        named = _counts_text(met.by_rule)
         table.add_row("episodes with a recorded violation", f"{met.named} ({named})" if named else "none")
         table.add_row("clearance from the buffer in the saved episode \\[m]", f"{met.find.clearance:.3f}")
         find, hole = met.find, bool(met.holes)
@@ -135,5 +135,5 @@ def _among(
         raise typer.Exit(1)
 
 
-def _told(by_rule: dict[str, int]) -> str:
+def _counts_text(by_rule: dict[str, int]) -> str:
     return ", ".join(f"{rule} {count}" for rule, count in by_rule.items())

@@ -72,7 +72,8 @@ def options_of(kind: type, help: Mapping[str, str]) -> list[inspect.Parameter]:
             inspect.Parameter.KEYWORD_ONLY,
             default=None,
             annotation=Annotated[
-                _asked(hints[each.name]) | None, typer.Option(help=_help(each, help[each.name]), show_default=False)
+                _option_type(hints[each.name]) | None,
+                typer.Option(help=_help(each, help[each.name]), show_default=False),
             ],
         )
         for each in fields(kind)
@@ -100,7 +101,7 @@ def with_options(command: Callable[..., None], more: list[inspect.Parameter]) ->
     return _signed(run, command, [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in whole])
 
 
-def _asked(hint: Any) -> Any:
+def _option_type(hint: Any) -> Any:
     """Type of the command-line option of a field."""
     parts = [each for each in get_args(hint) if each is not type(None)] if isinstance(hint, UnionType) else [hint]
     first = str if str in parts else parts[0]

@@ -12,14 +12,14 @@ from rich.console import Console
 from rich.table import Table
 
 from evaluation.commands.options_command import one_option_a_field
-from evaluation.commands.shared_options import EnvConfig, EnvId, NamedSetting, ask_setting
+from evaluation.commands.shared_options import EnvConfig, EnvId, NamedSetting, read_setting
 from evaluation.names import check_policy
 from shield.config import ShieldConfig
 from shield.decision import Decision
 from shield.errors import ConfigError
 
 if TYPE_CHECKING:
-    from evaluation.replay.collect import Asked
+    from evaluation.replay.collect import ReplayRequest
     from evaluation.running.records import EpisodeRecord
 
 __all__ = ["add_replaying"]
@@ -82,8 +82,8 @@ def replay_command(options: ReplayOptions) -> None:
     policy = options.policy or _POLICY
     check_policy(policy)
     loaded = None if options.config is None else ShieldConfig.named(options.config)
-    where = ask_setting(options.setting, options.env_id, options.env_config)
-    from evaluation.replay.collect import Asked
+    where = read_setting(options.setting, options.env_id, options.env_config)
+    from evaluation.replay.collect import ReplayRequest
     from evaluation.replay.html import page_path
     from evaluation.report.video import film_end, film_path
     from evaluation.running.records import config_on, variant_for
@@ -91,13 +91,13 @@ def replay_command(options: ReplayOptions) -> None:
     film = None if options.film is None else film_path(options.film)
     page = None if options.page is None else page_path(options.page)
     shield_config = config_on(where, loaded)
-    _drive(Asked(where, policy, variant_for(shield_config, where), seed), page)
+    _drive(ReplayRequest(where, policy, variant_for(shield_config, where), seed), page)
     if film is not None:
         made = film_end(film, where, policy, seed, shield_config)
         _out.print(f"wrote {made.path} ({made.frames} frames)")
 
 
-def _drive(asked: Asked, page: Path | None) -> EpisodeRecord:
+def _drive(asked: ReplayRequest, page: Path | None) -> EpisodeRecord:
     """Drive an episode, print its overrides, and write its page if a path is given."""
     from evaluation.running.episodes import run_episode
 

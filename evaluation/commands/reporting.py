@@ -16,7 +16,7 @@ from shield.errors import ConfigError
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Form", "check_output", "check_steps_path", "check_writable", "report"]
+__all__ = ["TableFormat", "check_output", "check_steps_path", "check_writable", "report"]
 
 _out = Console()
 
@@ -79,7 +79,7 @@ def check_writable(path: Path) -> None:
         raise ConfigError(f"{path} cannot be written: {error.strerror}") from None
 
 
-class Form(StrEnum):
+class TableFormat(StrEnum):
     """Format of printed tables."""
 
     TERMINAL = "terminal"
@@ -87,7 +87,7 @@ class Form(StrEnum):
     LATEX = "latex"
 
     @classmethod
-    def of(cls, markdown: bool, latex: bool) -> Form:
+    def of(cls, markdown: bool, latex: bool) -> TableFormat:
         """The format for these flags; raises `ConfigError` if both are set."""
         if markdown and latex:
             raise ConfigError("give one of --markdown and --latex")
@@ -97,7 +97,7 @@ class Form(StrEnum):
 def report(
     episodes: pd.DataFrame,
     output: Path | None = None,
-    form: Form = Form.TERMINAL,
+    form: TableFormat = TableFormat.TERMINAL,
     made: dict[str, Any] | None = None,
 ) -> None:
     """Print the tables of some episodes, and write them if `output` is given."""
@@ -107,8 +107,8 @@ def report(
     summary, comparison = summarise(episodes), compare(episodes)
     tables = [(summary, SUMMARY)] + ([(comparison, COMPARISON)] if len(comparison) else [])
     for frame, columns in tables:
-        if form is not Form.TERMINAL:
-            typer.echo((markdown if form is Form.MARKDOWN else latex)(frame, columns) + "\n")
+        if form is not TableFormat.TERMINAL:
+            typer.echo((markdown if form is TableFormat.MARKDOWN else latex)(frame, columns) + "\n")
             continue
         for _, part in frame.groupby(["setting", "policy"], sort=False):
             _out.print(rich_table(part, columns))

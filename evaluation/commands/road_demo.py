@@ -13,7 +13,7 @@ from evaluation.running.records import make_variants
 from evaluation.settings import Setting, setting_of
 from shield.config import ShieldConfig
 from shield.errors import ConfigError, ShieldError
-from shield.filters.simulated.meta_actions import ExactDoor
+from shield.filters.simulated.meta_actions import SimulatedMetaActionFilter
 
 __all__ = ["check_road", "road_demo"]
 
@@ -59,7 +59,7 @@ def check_road(setting: Setting, config: ShieldConfig) -> None:
         env = setting.make()
         try:
             make_policy(_POLICY, env)
-            ExactDoor(env.unwrapped, config)
+            SimulatedMetaActionFilter(env.unwrapped, config)
         finally:
             env.close()
     except ShieldError as error:

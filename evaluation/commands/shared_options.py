@@ -27,13 +27,13 @@ __all__ = [
     "EnvConfig",
     "EnvId",
     "NamedSetting",
-    "ask_hyperparameters",
-    "ask_policies",
-    "ask_setting",
-    "ask_settings",
     "check_jobs",
     "check_modes",
     "lengths",
+    "read_hyperparameters",
+    "read_policies",
+    "read_setting",
+    "read_settings",
     "shard_of",
     "split",
 ]
@@ -56,7 +56,7 @@ EnvConfig = Annotated[
 ]
 
 
-def ask_settings(names: Sequence[str] | None, env_id: str | None, config: Path | None) -> list[Setting]:
+def read_settings(names: Sequence[str] | None, env_id: str | None, config: Path | None) -> list[Setting]:
     """The settings of a comparison: by name, or an environment of the user. Unknown keys are printed as warnings.
 
     Raises
@@ -80,14 +80,14 @@ def ask_settings(names: Sequence[str] | None, env_id: str | None, config: Path |
     return [setting]
 
 
-def ask_setting(name: str | None, env_id: str | None, config: Path | None) -> Setting:
-    """One setting, as in `ask_settings`."""
+def read_setting(name: str | None, env_id: str | None, config: Path | None) -> Setting:
+    """One setting, as in `read_settings`."""
     if name is not None and env_id is None and config is None:
         return get_setting(name)
-    return ask_settings(None if name is None else [name], env_id, config)[0]
+    return read_settings(None if name is None else [name], env_id, config)[0]
 
 
-def ask_policies(names: Sequence[str]) -> list[str]:
+def read_policies(names: Sequence[str]) -> list[str]:
     """Policies by name, or as paths of zip files.
 
     Raises
@@ -101,7 +101,7 @@ def ask_policies(names: Sequence[str]) -> list[str]:
     return policies
 
 
-def ask_hyperparameters(
+def read_hyperparameters(
     file: Path | None, settings: Sequence[str], base: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
     """Keyword arguments of an algorithm from a TOML file or `base`, updated by single ones such as "n_steps=1024".

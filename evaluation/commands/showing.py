@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from evaluation.commands.names import DEMO_POLICY
-from evaluation.commands.reporting import Form, report
-from evaluation.commands.shared_options import EnvConfig, EnvId, NamedSetting, ask_setting
+from evaluation.commands.reporting import TableFormat, report
+from evaluation.commands.shared_options import EnvConfig, EnvId, NamedSetting, read_setting
 from evaluation.names import FIRST_EVALUATION_SEED, check_policy
 from shield.config import PROFILES, ShieldConfig
 from shield.errors import ConfigError
@@ -40,7 +40,7 @@ def film_command(
         raise ConfigError(f"{output} exists already; --force overwrites it")
     policy = policy or (DEMO_POLICY if env_id is None else "random")
     check_policy(policy)
-    where = ask_setting(setting, env_id, env_config)
+    where = read_setting(setting, env_id, env_config)
     from evaluation.report.video import film_override
 
     with _err.status("looking for an override") as status:
@@ -120,7 +120,7 @@ def table_command(
     latex: Annotated[bool, typer.Option("--latex", help="Print LaTeX, for the package booktabs.")] = False,
 ) -> None:
     """Print the tables of a file of episodes."""
-    form = Form.of(markdown, latex)
+    form = TableFormat.of(markdown, latex)
     if not episodes.is_file():
         raise ConfigError(f"there is no file {episodes}")
     from evaluation.report.table import read_episodes
@@ -143,9 +143,9 @@ def course_command(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the traffic.")] = 0,
 ) -> None:
     """Draw the roads of ComplexRoads-v0."""
-    from evaluation.report.course_picture import draw_course
+    from evaluation.report.course_picture import draw_map
 
-    _out.print(f"wrote {draw_course(output, seed=seed)}")
+    _out.print(f"wrote {draw_map(output, seed=seed)}")
 
 
 def gallery_command(

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from evaluation.commands.options_command import options_of, with_options
 from evaluation.commands.reporting import check_writable
-from evaluation.commands.shared_options import ask_hyperparameters
+from evaluation.commands.shared_options import read_hyperparameters
 from evaluation.learning.recipes import RECIPES, get_recipe
 from evaluation.names import FIRST_EVALUATION_SEED, NORMALISABLE, SIMULATORS, TRAINABLE
 from evaluation.training.options import LEARN_FROM, ON_POLICY, TrainingOptions
@@ -84,7 +84,7 @@ def train_command(
         found = {key: value for key, value in found.items() if key in asked or key not in ("setting", "env_id")}
     base = dict(found.get("hyperparameters", {})) if "hyperparameters" not in asked else {}
     file = asked.get("hyperparameters")
-    found["hyperparameters"] = ask_hyperparameters(file, set_ or [], base)
+    found["hyperparameters"] = read_hyperparameters(file, set_ or [], base)
     whole = TrainingOptions(**found)
     check_writable(whole.path)
     from evaluation.training.train import train_with

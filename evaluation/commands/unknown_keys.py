@@ -10,7 +10,7 @@ from typing import Any
 from highway_env.envs.common.action import action_factory
 from highway_env.envs.common.observation import observation_factory
 
-from dynamics.errors import perhaps
+from dynamics.errors import nearest_name_hint
 from evaluation.settings import Setting
 
 __all__ = ["unknown_keys"]
@@ -41,7 +41,7 @@ def unknown_keys(setting: Setting) -> list[str]:
         registered = Setting(setting.name, setting.env_id).configured
         told: list[str] = []
         if default:
-            told += _told(setting.env_id, "its configuration", setting.config, [*default, *registered])
+            told += _unknown_key_messages(setting.env_id, "its configuration", setting.config, [*default, *registered])
         for name, factory in _FACTORIES.items():
             given = setting.config.get(name)
             if isinstance(given, Mapping):
@@ -68,10 +68,10 @@ class _Reader:
         """
         kind = type(made)
         label = f"{where} of type {_NAMES.get(kind.__name__, kind.__name__)}"
-        yield from _told(self._env_id, label, given, arguments_of(kind))
+        yield from _unknown_key_messages(self._env_id, label, given, arguments_of(kind))
         ranges, features = given.get("features_range"), given.get("features") or getattr(kind, "FEATURES", None)
         if isinstance(ranges, Mapping) and features:
-            yield from _told(self._env_id, f"the features of {label}", ranges, features)
+            yield from _unknown_key_messages(self._env_id, f"the features of {label}", ranges, features)
         for key in _WITHIN:
             inner = given.get(key, [])
             for each in [inner] if isinstance(inner, Mapping) else inner:
@@ -94,7 +94,7 @@ def arguments_of(kind: type) -> list[str]:
     return [name for name in found if name not in ("self", "env")]
 
 
-def _told(env_id: str, where: str, given: Collection[str], known: Collection[str]) -> Iterator[str]:
+def _unknown_key_messages(env_id: str, where: str, given: Collection[str], known: Collection[str]) -> Iterator[str]:
     for key in given:
         if key not in known:
-            yield f"{env_id} has no {key!r} in {where}, and ignores it{perhaps(key, known)}"
+            yield f"{env_id} has no {key!r} in {where}, and ignores it{nearest_name_hint(key, known)}"

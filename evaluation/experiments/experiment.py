@@ -17,7 +17,7 @@ from evaluation.report.table import finished
 from evaluation.running.comparing import Comparison
 from evaluation.running.episodes import RunOptions, run_paired
 from evaluation.running.processes import engine_of
-from evaluation.running.records import DOORS, Variant, make_variants
+from evaluation.running.records import PLACEMENTS, ShieldVariant, make_variants
 from evaluation.running.step_table import check_steps, write_steps
 from evaluation.running.store import Store
 from evaluation.settings import Setting
@@ -46,7 +46,7 @@ class Experiment:
         `predict`. One, a sequence, or a mapping from names in reports.
     env : environments: names of settings, Gymnasium ids, `Setting` objects, or environments made by `gym.make`.
     shield : modes of the shield; None for none and full.
-    door : one or more of "env", "policy", "actions", see `evaluation.running.records.DOORS`.
+    door : one or more of "env", "policy", "actions", see `evaluation.running.records.PLACEMENTS`.
     perception : source of the shield's scenes.
     sensor : sensor of the policy.
     episodes : episodes of each row.
@@ -97,7 +97,7 @@ class Experiment:
     address: str | None = None
 
     def __post_init__(self) -> None:
-        for name, valid in (("shield", MODES), ("door", DOORS[1:]), ("perception", PERCEPTIONS)):
+        for name, valid in (("shield", MODES), ("door", PLACEMENTS[1:]), ("perception", PERCEPTIONS)):
             for each in _several(getattr(self, name) or ()):
                 check_name(name, each, valid)
         for each in _several(self.sensor):
@@ -232,7 +232,7 @@ class Experiment:
             check_name("option", key, [field.name for field in fields(self)])
         return replace(self, **options)
 
-    def _variants(self, setting: Setting) -> list[Variant]:
+    def _variants(self, setting: Setting) -> list[ShieldVariant]:
         modes = _several(self.shield) if self.shield else ["none", "full"] if setting.road else ["none"]
         config = self.config
         if isinstance(config, str | Path) and config not in ("simulated", "worst-case"):
@@ -245,7 +245,7 @@ class Experiment:
         return (self.buffer,) if isinstance(self.buffer, int | float) else tuple(self.buffer)
 
     def _comparison(
-        self, compared: tuple[tuple[Setting, tuple[Variant, ...]], ...], named: tuple[str, ...]
+        self, compared: tuple[tuple[Setting, tuple[ShieldVariant, ...]], ...], named: tuple[str, ...]
     ) -> Comparison:
         return Comparison(
             compared,
@@ -277,7 +277,7 @@ class Experiment:
         before = finished(output) if self.resume and output is not None else None
         return Store(output, what, self.resume, before, asked.models)
 
-    def _drive(self, setting: Setting, variants: tuple[Variant, ...], name: str, policy: Any) -> pd.DataFrame:
+    def _drive(self, setting: Setting, variants: tuple[ShieldVariant, ...], name: str, policy: Any) -> pd.DataFrame:
         """Drive the episodes of a policy that is an object."""
         parts = []
         for sensor in _several(self.sensor):

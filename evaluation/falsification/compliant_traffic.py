@@ -30,9 +30,15 @@ from evaluation.threads import one_thread
 from shield import ShieldConfig, ShieldedEnv
 from shield.config import Buffer
 from shield.errors import ConfigError
-from shield.filters.meta_actions import MetaDoor
+from shield.filters.meta_actions import MetaActionFilter
 
-__all__ = ["Bold", "BoldEpisode", "drive_bold", "drive_bold_many", "man_highway"]
+__all__ = [
+    "CompliantEpisode",
+    "CompliantHighwayDriver",
+    "drive_compliant",
+    "drive_compliant_many",
+    "install_highway_drivers",
+]
 
 RULES = Assumptions.idm()
 """Assumptions that the drivers keep to, independent of the shield's."""
@@ -71,7 +77,7 @@ _APART = 16.0
 """
 
 
-class Bold(IDMVehicle):  # type: ignore[misc]
+class CompliantHighwayDriver(IDMVehicle):  # type: ignore[misc]
     """Worst-case compliant driver. Where the rules demand more it brakes by IDM, which they always permit."""
 
     target_lane_index: Any
@@ -232,7 +238,7 @@ class Bold(IDMVehicle):  # type: ignore[misc]
 
 
 @dataclass(frozen=True, slots=True)
-class BoldEpisode:
+class CompliantEpisode:
     """Result of one episode, up to the first intrusion into the buffer or violation.
 
     Attributes
@@ -268,10 +274,10 @@ class BoldEpisode:
         return self.started and (bool(self.named) or self.unnamed)
 
 
-class _Referee:
+class _EpisodeMonitor:
     """Observes every frame of an episode: the ego's clearance, and the violations recorded by then."""
 
-    def __init__(self, base: Any, door: MetaDoor) -> None:
+    def __init__(self, base: Any, door: MetaActionFilter) -> None:
         self._base, self._door, self._step = base, door, base.road.step
         self.frames, self.clearance, self.crashed, self.over = 0, float("inf"), False, False
         self.named: dict[str, int] = {}
@@ -299,7 +305,7 @@ class _Referee:
         self.crashed = bool(ego.crashed or ego.impact is not None)
 
 
-def man_highway(base: Any, vehicles: int, seed: int) -> None:
+def install_highway_drivers(base: Any, vehicles: int, seed: int) -> None:
     """Replace the other vehicles by worst-case compliant drivers around the ego.
 
     Parameters
@@ -321,7 +327,7 @@ def man_highway(base: Any, vehicles: int, seed: int) -> None:
         near = [(x - at, v) for line, x, v in placed if line == lane]
         if any(abs(d) < _APART + (max(speed - v, 0.0) * 2 if d > 0 else max(v - speed, 0.0) * 2) for d, v in near):
             continue
-        driver = Bold(road, road.network.get_lane(("0", "1", lane)).position(at, 0.0), 0.0, speed)
+        driver = CompliantHighwayDriver(road, road.network.get_lane(("0", "1", lane)).position(at, 0.0), 0.0, speed)
         driver.take(np.random.default_rng([seed, 1 + k]), ego, dt)
         driver.randomize_behavior()
         driver.check_collisions = base.vehicle.check_collisions and "fast" not in base.spec.id
@@ -331,9 +337,9 @@ def man_highway(base: Any, vehicles: int, seed: int) -> None:
             break
 
 
-def drive_bold(
+def drive_compliant(
     setting: Setting, seed: int, config: ShieldConfig | None = None, vehicles: int = 8, decisions: int = 10
-) -> BoldEpisode:
+) -> CompliantEpisode:
     """Drive one episode of a shielded ego with random actions among worst-case compliant drivers.
 
     The episode ends with the first intrusion into the ego's buffer or violation.
@@ -359,13 +365,13 @@ def drive_bold(
             env.close()
 
 
-def _drive(env: ShieldedEnv, setting: Setting, seed: int, vehicles: int, decisions: int) -> BoldEpisode:
+def _drive(env: ShieldedEnv, setting: Setting, seed: int, vehicles: int, decisions: int) -> CompliantEpisode:
     door, base = env.door, env.unwrapped
-    if not isinstance(door, MetaDoor) or not door.supervising:
+    if not isinstance(door, MetaActionFilter) or not door.supervising:
         raise ConfigError(f"bold drivers need a straight highway with meta-actions and a shield, not {setting.name}")
     env.reset(seed=seed)
-    man_highway(base, vehicles, seed)
-    actions, referee, started = np.random.default_rng([seed, 1_000_000]), _Referee(base, door), True
+    install_highway_drivers(base, vehicles, seed)
+    actions, referee, started = np.random.default_rng([seed, 1_000_000]), _EpisodeMonitor(base, door), True
     labels = [str(base.action_type.actions[k]) for k in range(env.action_space.n)]  # type: ignore[attr-defined]
     often = np.array([_OFTEN.get(label, 1.0) for label in labels])
     for step in range(decisions):
@@ -379,16 +385,16 @@ def _drive(env: ShieldedEnv, setting: Setting, seed: int, vehicles: int, decisio
         # The monitor has not checked the last frame yet.
         door.frame()
         referee.look()
-    return BoldEpisode(seed, referee.frames, started, referee.clearance, referee.crashed, referee.named)
+    return CompliantEpisode(seed, referee.frames, started, referee.clearance, referee.crashed, referee.named)
 
 
-def drive_bold_many(
+def drive_compliant_many(
     setting: Setting,
     seeds: Sequence[int],
     config: ShieldConfig | None = None,
     vehicles: int = 8,
     decisions: int = 10,
     jobs: int = -1,
-) -> list[BoldEpisode]:
-    """Call `drive_bold` on each of the seeds, in `jobs` processes (-1: one for each core)."""
-    return list(Parallel(n_jobs=jobs)(delayed(drive_bold)(setting, s, config, vehicles, decisions) for s in seeds))
+) -> list[CompliantEpisode]:
+    """Call `drive_compliant` on each of the seeds, in `jobs` processes (-1: one for each core)."""
+    return list(Parallel(n_jobs=jobs)(delayed(drive_compliant)(setting, s, config, vehicles, decisions) for s in seeds))

@@ -15,16 +15,16 @@ from scipy.special import ndtr
 
 from dynamics.road_networks.episodes.scenario import on_roads
 from dynamics.state import FloatArray, IntArray
-from evaluation.falsification.compliant_traffic import BoldEpisode, drive_bold_many
+from evaluation.falsification.compliant_traffic import CompliantEpisode, drive_compliant_many
 from evaluation.falsification.finds import Find, made_with
 from evaluation.falsification.subset import MOST_SHARE, Subset, subset_simulation
 from evaluation.names import ANY, TRAFFIC
-from evaluation.running.batch_episodes import Chosen, Many
+from evaluation.running.batch_episodes import BatchResult, Many
 from evaluation.settings import Setting
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
 
-__all__ = ["TRAFFIC", "Met", "Searched", "crash_probability", "falsify", "falsify_among"]
+__all__ = ["TRAFFIC", "CompliantSearchResult", "FalsificationResult", "crash_probability", "falsify", "falsify_among"]
 
 _FREE = (ANY, "random")
 _SCENES = 100_000
@@ -38,7 +38,7 @@ _AT_ONCE = 16
 
 
 @dataclass(frozen=True, slots=True)
-class Searched:
+class FalsificationResult:
     """Result of a search.
 
     Attributes
@@ -61,7 +61,7 @@ class Searched:
 
 
 @dataclass(frozen=True, slots=True)
-class Met:
+class CompliantSearchResult:
     """Result of a search among worst-case compliant drivers.
 
     Attributes
@@ -105,7 +105,7 @@ class _Episodes:
         """Seeds of the scenes on a road network, (n,)."""
         return self._first + (shares[:, 0] * _SCENES).astype(np.intp)
 
-    def drive(self, points: FloatArray) -> Chosen:
+    def drive(self, points: FloatArray) -> BatchResult:
         """Drive the episode of each point, and return the results of all."""
         shares, actions = self.of(points)
         if self.seeded:
@@ -156,7 +156,7 @@ def falsify(
     episodes: int = 5_000,
     seed: int = 0,
     samples: int = 500,
-) -> Searched:
+) -> FalsificationResult:
     """Search for the episode with the smallest true clearance, and count violations of the assumptions by the traffic.
 
     Parameters
@@ -179,7 +179,7 @@ def falsify(
             f"highway-env's own traffic on {setting.name} is searched with settings that simulate it"
             " (`shield config --profile simulated`); with others have drivers bold, wild or mixed"
         )
-    searched, first = _Episodes(setting, policy, config, seed), list[Chosen]()
+    searched, first = _Episodes(setting, policy, config, seed), list[BatchResult]()
 
     def clearance(points: FloatArray) -> FloatArray:
         found = searched.drive(points)
@@ -201,7 +201,7 @@ def falsify(
         made=made_with(setting, policy if actions is None else ANY),
     )
     drawn = first[0]
-    return Searched(
+    return FalsificationResult(
         find,
         result.evaluations,
         float(np.median(drawn.clearance)),
@@ -213,7 +213,7 @@ def falsify(
 
 def falsify_among(
     setting: Setting, config: ShieldConfig, episodes: int = 5_000, seed: int = 0, lanes: int = 2, jobs: int = 1
-) -> Met:
+) -> CompliantSearchResult:
     """Drive among worst-case compliant drivers in highway-env itself, until the first find or the limit of episodes.
 
     The drivers keep to `Assumptions.idm()`. A recorded violation shows that the shield has other assumptions. An
@@ -235,11 +235,11 @@ def falsify_among(
     """
     if episodes < 1:
         raise ConfigError(f"have at least 1 episode, not {episodes}")
-    road, driven = setting.override({"lanes_count": lanes}), list[BoldEpisode]()
+    road, driven = setting.override({"lanes_count": lanes}), list[CompliantEpisode]()
     while len(driven) < episodes and not any(x.told for x in driven):
         first = seed + len(driven)
         more = range(first, min(first + (1 if jobs == 1 else _AT_ONCE), seed + episodes))
-        driven += drive_bold_many(road, more, config, jobs=jobs)
+        driven += drive_compliant_many(road, more, config, jobs=jobs)
     found = next((k for k, x in enumerate(driven) if x.told), len(driven) - 1)
     driven = driven[: found + 1]
     began = [x for x in driven if x.started]
@@ -260,4 +260,4 @@ def falsify_among(
         made=made_with(road, ANY),
     )
     holes = tuple(x.seed for x in began if x.unnamed)
-    return Met(find, len(driven), len(began), sum(bool(x.named) for x in began), dict(by_rule), holes)
+    return CompliantSearchResult(find, len(driven), len(began), sum(bool(x.named) for x in began), dict(by_rule), holes)

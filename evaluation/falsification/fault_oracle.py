@@ -17,12 +17,12 @@ from dynamics.state import FloatArray
 from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.rules_of_the_road import footprint, gap_between
 from evaluation.falsification.network_adversaries import FAIL_SAFE
-from shield.certificate.network.monitor import Breach
+from shield.certificate.network.monitor import NetworkRule
 from shield.config import Buffer
 from shield.decision import Decision
-from shield.filters.network import RoadDoor
+from shield.filters.network import NetworkFilter
 
-__all__ = ["BUFFER", "Referee"]
+__all__ = ["BUFFER", "FaultOracle"]
 
 BUFFER = Buffer()
 """Buffer of the ego in this check, independent of the shield's; a vehicle inside it has intruded."""
@@ -31,7 +31,7 @@ _SHRINKS = 1e-6
 """Decrease of a margin beyond rounding [m]."""
 
 
-class Referee:
+class FaultOracle:
     """Observes every frame: the clearance of each vehicle, and one frame later the violators among them.
 
     Parameters
@@ -40,10 +40,10 @@ class Referee:
     door : the filter on road networks; its `frame` is replaced.
     """
 
-    def __init__(self, base: Any, door: RoadDoor) -> None:
+    def __init__(self, base: Any, door: NetworkFilter) -> None:
         self._base, self._door, self._step, self._ask = base, door, base.road.step, door.frame
         self._near: list[tuple[Any, int, float, float]] = []
-        self._promised, self._crashes, self.frames, self.counted = False, door.by_rule.get(Breach.CRASH, 0), 0, 0
+        self._promised, self._crashes, self.frames, self.counted = False, door.by_rule.get(NetworkRule.CRASH, 0), 0, 0
         self.clearance, self.near, self.who, self.when = np.inf, np.inf, -1, -1
         self.margin, self.shrunk = np.inf, 0
         base.road.step = self._watched
@@ -52,7 +52,9 @@ class Referee:
     @property
     def over(self) -> bool:
         """Whether nothing that follows can count."""
-        return bool(self._base.vehicle.crashed) or self.clearance < 0 or Breach.UNFORESEEN in self._door.watch.by_rule
+        return (
+            bool(self._base.vehicle.crashed) or self.clearance < 0 or NetworkRule.UNFORESEEN in self._door.watch.by_rule
+        )
 
     def settle(self, named: set[Any]) -> None:
         """Count the vehicles that were near in the last frame, except the violators in `named`."""
@@ -74,7 +76,7 @@ class Referee:
             innocent = less.keys() - named - self._door.have_broken(less, before)
             self.shrunk += bool(innocent)
             self.margin = min(self.margin, *(less[body] for body in innocent), np.inf)
-        crashes = self._door.by_rule.get(Breach.CRASH, 0)
+        crashes = self._door.by_rule.get(NetworkRule.CRASH, 0)
         # Two vehicles that have crashed slide, and push each other while they overlap. The monitor no longer counts
         # them as violators.
         pushed = any(body.crashed and body.impact is not None for body in self._base.road.vehicles)

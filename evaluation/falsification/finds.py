@@ -11,7 +11,7 @@ import numpy as np
 
 from dynamics.highway_simulator.simulator import Simulator
 from dynamics.road_networks.episodes.scenario import on_roads
-from evaluation.falsification.compliant_traffic import drive_bold
+from evaluation.falsification.compliant_traffic import drive_compliant
 from evaluation.falsification.road_episode import RoadNumbers, drive_numbers
 from evaluation.measuring.recorder import Recorder
 from evaluation.names import ANY
@@ -105,9 +105,9 @@ def replay(find: Find) -> Find:
         numbers, given = RoadNumbers(find.drivers, find.seed), shield if find.shield else None
         return replace(find, clearance=drive_numbers(setting, numbers, np.array(find.shares), given).clearance)
     if find.drivers == "bold":
-        return replace(find, clearance=drive_bold(setting, find.seed, shield).clearance)
+        return replace(find, clearance=drive_compliant(setting, find.seed, shield).clearance)
     env = setting.make()
-    policy: Any = _Told(find.actions) if find.policy == ANY else make_policy(find.policy, env)
+    policy: Any = _ReplayedActions(find.actions) if find.policy == ANY else make_policy(find.policy, env)
     shielded: Any = env
     if find.policy != ANY:
         start_episode(policy, find.seed)
@@ -130,7 +130,7 @@ def replay(find: Find) -> Find:
     return replace(find, clearance=recorder.history().min_gap())
 
 
-class _Told:
+class _ReplayedActions:
     """Policy that proposes a given sequence of actions, and then repeats the last."""
 
     def __init__(self, actions: tuple[int, ...]) -> None:

@@ -1,9 +1,10 @@
 """Drivers that replace highway-env's traffic on road networks, to attack the certificate.
 
-`Wild` is an unconstrained adversary: random throttle and steering, without any rule. `Bold` is a worst-case compliant
-driver: it keeps to every rule of `shield.certificate.network.monitor` and uses all that the rules permit. It brakes and
-accelerates as hard as the assumptions allow, turns at random, and leaves a lane that ends at a random place. It reacts
-only to the vehicle ahead in its own lane.
+`UnconstrainedNetworkDriver` is an unconstrained adversary: random throttle and steering, without any rule.
+`CompliantNetworkDriver` is a worst-case compliant driver: it keeps to every rule of
+`shield.certificate.network.monitor` and uses all that the rules permit. It brakes and accelerates as hard as the
+assumptions allow, turns at random, and leaves a lane that ends at a random place. It reacts only to the vehicle ahead
+in its own lane.
 """
 
 from __future__ import annotations
@@ -17,22 +18,22 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from shield import ShieldedEnv
 from shield.errors import ConfigError
-from shield.filters.network import RoadDoor
+from shield.filters.network import NetworkFilter
 
-__all__ = ["DRIVERS", "FAIL_SAFE", "man"]
+__all__ = ["DRIVERS", "FAIL_SAFE", "install_drivers"]
 
 DRIVERS = ("wild", "bold", "mixed")
 FAIL_SAFE = 9.8
 """Hardest braking of the ego in its fail-safe [m/s^2]."""
-Draw = Any
+RandomSource = Any
 """A numpy generator, or an object with the same methods, such as `Script`."""
-Lane = tuple[str, str, int]
+NetworkLane = tuple[str, str, int]
 _HELD = 2, 20
 _CAUTION = 1.0
 """Gap of a compliant driver to the vehicle ahead, beyond its own stopping distance [m]."""
 
 
-class Ways(NamedTuple):
+class LaneConnections(NamedTuple):
     """Connections of lanes.
 
     Attributes
@@ -41,15 +42,17 @@ class Ways(NamedTuple):
     over : for each lane that ends, the neighbour that its traffic has to merge into.
     """
 
-    ahead: dict[Lane, list[Lane]]
-    over: dict[Lane, Lane]
+    ahead: dict[NetworkLane, list[NetworkLane]]
+    over: dict[NetworkLane, NetworkLane]
 
 
-class Wild(Vehicle):  # type: ignore[misc]
+class UnconstrainedNetworkDriver(Vehicle):  # type: ignore[misc]
     """Unconstrained adversary: throttle and steering at random, each kept for some frames."""
 
-    def take(self, draw: Draw, turns: Draw, door: RoadDoor, period: float, ways: Ways) -> None:
-        """Set the random generator of inputs; the other parameters are those of `Bold.take`."""
+    def take(
+        self, draw: RandomSource, turns: RandomSource, door: NetworkFilter, period: float, ways: LaneConnections
+    ) -> None:
+        """Set the random generator of inputs; the other parameters are those of `CompliantNetworkDriver.take`."""
         self.draw, self.left, self.route = draw, 0, ()
 
     def act(self, action: Any = None) -> None:
@@ -65,12 +68,14 @@ class Wild(Vehicle):  # type: ignore[misc]
         super().act(self.held)
 
 
-class Bold(ControlledVehicle):  # type: ignore[misc]
+class CompliantNetworkDriver(ControlledVehicle):  # type: ignore[misc]
     """Worst-case compliant driver."""
 
     target_lane_index: Any
 
-    def take(self, draw: Draw, turns: Draw, door: RoadDoor, period: float, ways: Ways) -> None:
+    def take(
+        self, draw: RandomSource, turns: RandomSource, door: NetworkFilter, period: float, ways: LaneConnections
+    ) -> None:
         """Set the random generators of inputs and of turns, the filter, the duration of a frame [s] and the lanes."""
         self.draw, self.left, self.held, self.period = draw, 0, 0.0, period
         self.turns, self.ways, self.until = turns, ways, -1.0
@@ -120,8 +125,12 @@ class Bold(ControlledVehicle):  # type: ignore[misc]
         return float(max(held, -max(self.speed, 0.0) / dt))
 
 
-def man(
-    env: ShieldedEnv, drivers: str, vehicles: int, seed: int, told: Sequence[tuple[Draw, Draw]] | None = None
+def install_drivers(
+    env: ShieldedEnv,
+    drivers: str,
+    vehicles: int,
+    seed: int,
+    told: Sequence[tuple[RandomSource, RandomSource]] | None = None,
 ) -> None:
     """Replace the first vehicles of the traffic by adversaries, in place.
 
@@ -141,9 +150,17 @@ def man(
     if drivers not in DRIVERS:
         raise ConfigError(f"unknown drivers {drivers!r}; have {', '.join(DRIVERS)}")
     base: Any = env.unwrapped
-    assert isinstance(env.door, RoadDoor)
-    kinds: Sequence[type[Any]] = {"wild": (Wild,), "bold": (Bold,), "mixed": (Wild, Bold)}[drivers]
-    left, ways, period = vehicles, Ways(env.door.ahead, env.door.over), 1 / base.config["simulation_frequency"]
+    assert isinstance(env.door, NetworkFilter)
+    kinds: Sequence[type[Any]] = {
+        "wild": (UnconstrainedNetworkDriver,),
+        "bold": (CompliantNetworkDriver,),
+        "mixed": (UnconstrainedNetworkDriver, CompliantNetworkDriver),
+    }[drivers]
+    left, ways, period = (
+        vehicles,
+        LaneConnections(env.door.ahead, env.door.over),
+        1 / base.config["simulation_frequency"],
+    )
     for k, body in enumerate(base.road.vehicles):
         if body is base.vehicle or left == 0:
             continue

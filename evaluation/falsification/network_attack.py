@@ -13,17 +13,17 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 
-from evaluation.falsification.network_adversaries import man
+from evaluation.falsification.network_adversaries import install_drivers
 from evaluation.settings import Setting
 from evaluation.threads import one_thread
 from shield import ShieldConfig, ShieldedEnv
-from shield.certificate.network.monitor import Breach
+from shield.certificate.network.monitor import NetworkRule
 from shield.config import WORST_CASE
 from shield.decision import Decision
 from shield.errors import ConfigError
-from shield.filters.network import RoadDoor
+from shield.filters.network import NetworkFilter
 
-__all__ = ["Attack", "attack", "attack_many", "watch_for_a_crash"]
+__all__ = ["Attack", "attack", "attack_many", "record_blameless_crash"]
 
 _HIT = 8.0
 """Distance up to which a crashed vehicle counts as part of the ego's crash [m]."""
@@ -56,10 +56,10 @@ class Attack:
     @property
     def unforeseen(self) -> bool:
         """Whether the certificate had a hole: without a violation the fail-safe lost its margin or the ego crashed."""
-        return Breach.UNFORESEEN in self.by_rule or self.blameless
+        return NetworkRule.UNFORESEEN in self.by_rule or self.blameless
 
 
-def watch_for_a_crash(base: Any, door: RoadDoor) -> list[bool]:
+def record_blameless_crash(base: Any, door: NetworkFilter) -> list[bool]:
     """Observe an episode until the ego crashes, by replacing the road's `step` and the filter's `frame`.
 
     Returns
@@ -123,13 +123,13 @@ def attack(
     with one_thread():
         env = ShieldedEnv(setting.make(), config or WORST_CASE)
         door = env.door
-        if not isinstance(door, RoadDoor):
+        if not isinstance(door, NetworkFilter):
             raise ConfigError(f"{setting.name} is no road network with meta-actions, which this attacks")
         base: Any = env.unwrapped
         env.reset(seed=seed)
         env.action_space.seed(seed)
-        man(env, drivers, vehicles, seed)
-        blameless = watch_for_a_crash(base, door)
+        install_drivers(env, drivers, vehicles, seed)
+        blameless = record_blameless_crash(base, door)
         each, frames = int(base.config["simulation_frequency"] // base.config["policy_frequency"]), 0
         for _ in range(decisions):
             *_, terminated, truncated, _ = env.step(env.action_space.sample())

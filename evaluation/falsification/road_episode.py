@@ -14,15 +14,15 @@ import numpy as np
 from scipy.special import ndtri
 
 from dynamics.state import FloatArray
-from evaluation.falsification.fault_oracle import Referee
-from evaluation.falsification.network_adversaries import DRIVERS, man
+from evaluation.falsification.fault_oracle import FaultOracle
+from evaluation.falsification.network_adversaries import DRIVERS, install_drivers
 from evaluation.settings import Setting
 from evaluation.threads import one_thread
 from shield import ShieldConfig, ShieldedEnv
-from shield.certificate.network.monitor import Breach
+from shield.certificate.network.monitor import NetworkRule
 from shield.config import WORST_CASE
 from shield.errors import ConfigError
-from shield.filters.network import RoadDoor
+from shield.filters.network import NetworkFilter
 
 __all__ = ["SCENES", "RoadEpisode", "RoadNumbers", "Script", "drive_numbers"]
 
@@ -158,7 +158,7 @@ class RoadEpisode:
     @property
     def hole(self) -> bool:
         """Whether a vehicle without a recorded violation came too near, or took the margin of the fail-safe."""
-        return self.clearance < 0 or Breach.UNFORESEEN in self.by_rule
+        return self.clearance < 0 or NetworkRule.UNFORESEEN in self.by_rule
 
     @property
     def performance(self) -> float:
@@ -204,11 +204,11 @@ def drive_numbers(
 def _drive(env: ShieldedEnv, setting: Setting, numbers: RoadNumbers, shares: FloatArray) -> RoadEpisode:
     base: Any = env.unwrapped
     door, seed = env.door, numbers.seed(shares)
-    if not isinstance(door, RoadDoor):
+    if not isinstance(door, NetworkFilter):
         raise ConfigError(f"{setting.name} is no road network with meta-actions, which this attacks")
     env.reset(seed=seed)
-    man(env, numbers.drivers, numbers.vehicles, seed, numbers.scripts(shares))
-    referee, ended = Referee(base, door), False
+    install_drivers(env, numbers.drivers, numbers.vehicles, seed, numbers.scripts(shares))
+    referee, ended = FaultOracle(base, door), False
     for share in shares[1 : 1 + numbers.decisions]:
         *_, terminated, truncated, _ = env.step(int(share * env.action_space.n))  # type: ignore[attr-defined]
         ended = bool(terminated or truncated)

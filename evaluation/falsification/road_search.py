@@ -23,7 +23,7 @@ from shield.certificate.network.others import has_crossings
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
 
-__all__ = ["LEVEL", "RoadSearched", "has_network", "search_roads"]
+__all__ = ["LEVEL", "NetworkSearchResult", "has_network", "search_roads"]
 
 LEVEL = 50
 """Episodes of a level."""
@@ -32,7 +32,7 @@ _SHARE = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class RoadSearched:
+class NetworkSearchResult:
     """Result of a search.
 
     Attributes
@@ -79,7 +79,7 @@ def search_roads(
     seed: int = 0,
     jobs: int = 1,
     drawn: bool = False,
-) -> RoadSearched:
+) -> NetworkSearchResult:
     """Search by subset simulation for a vehicle that comes too near to the ego without a recorded violation.
 
     The search varies scenes, drivers and proposals. It ends with the first hole, or at the limit of episodes.
@@ -139,7 +139,7 @@ def search_roads(
         seed=seed,
         made=made_with(setting, ANY),
     )
-    return RoadSearched(
+    return NetworkSearchResult(
         find=find,
         episodes=len(driven),
         hole=driven[worst].hole,

@@ -14,9 +14,9 @@ import gymnasium as gym
 import joblib
 import numpy as np
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import kernel_no_refcount
 from dynamics.state import FloatArray
-from evaluation.falsification.splitting import Path, Split, multilevel_splitting
+from evaluation.falsification.splitting import Split, SplitPath, multilevel_splitting
 from evaluation.measuring.recorder import Track
 from evaluation.measuring.tally import HORIZON, SOON, time_to_collision
 from evaluation.running.driver import Driver, DriverSpec
@@ -28,7 +28,7 @@ from shield.errors import ConfigError
 __all__ = ["NoisyEpisodes", "crash_probability_through"]
 
 
-@uncounted
+@kernel_no_refcount
 def _nearest(states: FloatArray, out: FloatArray) -> None:
     """Least time to a collision of the ego in each frame, at constant velocities.
 
@@ -46,7 +46,7 @@ def _nearest(states: FloatArray, out: FloatArray) -> None:
 
 
 class NoisyEpisodes:
-    """Episodes as functions of a `Path`: seeds of the scene and of the noise.
+    """Episodes as functions of a `SplitPath`: seeds of the scene and of the noise.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class NoisyEpisodes:
             env = env.env
         self._sensor = env
 
-    def drive(self, path: Path) -> FloatArray:
+    def drive(self, path: SplitPath) -> FloatArray:
         """Negative of the least time to a collision, at the reset and within each decision, (decisions + 1,) [s].
 
         It is 0 in a crash.
@@ -127,7 +127,7 @@ def crash_probability_through(
     files = hash_of_files(_policy(spec))
     with joblib.parallel_config(backend="loky", inner_max_num_threads=1), joblib.Parallel(n_jobs=jobs) as pool:
 
-        def drive(ways: Sequence[Path]) -> Sequence[FloatArray]:
+        def drive(ways: Sequence[SplitPath]) -> Sequence[FloatArray]:
             found: list[FloatArray] = pool(joblib.delayed(_drive)(spec, files, x) for x in ways)
             return found
 
@@ -141,7 +141,7 @@ def _kept(spec: DriverSpec, files: str) -> NoisyEpisodes:
     return NoisyEpisodes(spec)
 
 
-def _drive(spec: DriverSpec, files: str, path: Path) -> FloatArray:
+def _drive(spec: DriverSpec, files: str, path: SplitPath) -> FloatArray:
     return _kept(spec, files).drive(path)
 
 

@@ -24,13 +24,13 @@ import numpy as np
 from dynamics.errors import ConfigError
 from dynamics.state import FloatArray
 
-__all__ = ["Path", "Split", "multilevel_splitting"]
+__all__ = ["Split", "SplitPath", "multilevel_splitting"]
 
 _MOST_ROUNDS = 1000
 
 
 @dataclass(frozen=True, slots=True)
-class Path:
+class SplitPath:
     """Seeds of a path.
 
     Attributes
@@ -42,12 +42,12 @@ class Path:
     seed: int
     forks: tuple[tuple[int, int], ...] = ()
 
-    def fork(self, step: int, seed: int) -> Path:
+    def fork(self, step: int, seed: int) -> SplitPath:
         """A copy that is the same before the step and uses another seed from there on."""
-        return Path(self.seed, (*(each for each in self.forks if each[0] < step), (step, seed)))
+        return SplitPath(self.seed, (*(each for each in self.forks if each[0] < step), (step, seed)))
 
 
-Drive = Callable[[Sequence[Path]], Sequence[FloatArray]]
+Drive = Callable[[Sequence[SplitPath]], Sequence[FloatArray]]
 """Function that returns the scores of each path, before the first step and after each, (steps + 1,)."""
 
 
@@ -70,7 +70,7 @@ class Split:
     evaluations: int
     levels: tuple[float, ...]
     dropped: tuple[int, ...]
-    paths: tuple[Path, ...]
+    paths: tuple[SplitPath, ...]
     reached: FloatArray
 
 
@@ -111,8 +111,8 @@ def multilevel_splitting(
     if paths < 2 or not 0 < share < 1:
         raise ConfigError(f"have at least 2 paths and a share between 0 and 1, not {paths} and {share}")
     rng = np.random.default_rng([seed, 0])
-    ways = [Path(seed + i) for i in range(paths)]
-    scores = _asked(drive, ways)
+    ways = [SplitPath(seed + i) for i in range(paths)]
+    scores = _drive_checked(drive, ways)
     count = max(1, round(share * paths))
     evaluations, weight, spread = paths, 1.0, 0.0
     levels, dropped = list[float](), list[int]()
@@ -132,7 +132,7 @@ def multilevel_splitting(
         for i, parent in zip(out, rng.choice(left, len(out)), strict=True):
             step = int(np.argmax(scores[parent] > level)) + 1
             ways[i] = ways[parent].fork(step, int(rng.integers(2**32)))
-        for i, found in zip(out, _asked(drive, [ways[i] for i in out]), strict=True):
+        for i, found in zip(out, _drive_checked(drive, [ways[i] for i in out]), strict=True):
             scores[i] = found
         evaluations += len(out)
     within = float((reached >= event).mean())
@@ -150,7 +150,7 @@ def multilevel_splitting(
     )
 
 
-def _asked(drive: Drive, ways: Sequence[Path]) -> list[FloatArray]:
+def _drive_checked(drive: Drive, ways: Sequence[SplitPath]) -> list[FloatArray]:
     scores = [np.asarray(each, float) for each in drive(ways)]
     if len(scores) != len(ways) or any(each.ndim != 1 or not each.size or np.isnan(each).any() for each in scores):
         raise ConfigError("a path has one score before its first step and one after each, none of them NaN")

@@ -115,7 +115,7 @@ def subset_simulation(
         raise ConfigError(f"have from 0 to {dimensions} dimensions without neighbours, not {jumps}")
     rng = np.random.default_rng(seed)
     points = rng.standard_normal((samples, dimensions))
-    g = _asked(performance, points)
+    g = _evaluate_checked(performance, points)
     evaluations, probability, variance, step = samples, 1.0, 0.0, _FIRST_STEP
     levels: list[Level] = []
     taken = np.nan
@@ -142,7 +142,7 @@ def subset_simulation(
                 # If all dimensions jump, every move draws anew: otherwise it would change nothing.
                 kept = rng.random(chains) >= (_JUMPS if jumps < dimensions else 1.0)
                 proposed[:, :jumps] = np.where(kept[:, None], x[:, :jumps], rng.standard_normal((chains, jumps)))
-            found = _asked(performance, proposed)
+            found = _evaluate_checked(performance, proposed)
             good = found <= bound
             x[good], at[good] = proposed[good], found[good]
             runs_x.append(x.copy())
@@ -155,7 +155,7 @@ def subset_simulation(
         of_chains = np.arange(samples).reshape(length, chains)
 
 
-def _asked(performance: Performance, points: FloatArray) -> FloatArray:
+def _evaluate_checked(performance: Performance, points: FloatArray) -> FloatArray:
     g = np.asarray(performance(points), float)
     if g.shape != (len(points),) or np.isnan(g).any():
         raise ConfigError(f"a performance has a number for each of {len(points)} points, not shape {g.shape} or NaN")

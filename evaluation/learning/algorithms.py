@@ -182,8 +182,8 @@ def _space(path: Path, name: str, data: Mapping[str, Any], env: Any, error: Exce
     """The environment's space in place of one that cannot be unpickled."""
     if env is None:
         raise PolicyError(
-            f"{path.name}: its {name} cannot be read here ({_told(error)}); hand in the environment that it was trained"
-            f" in: load_model(path, env=env)"
+            f"{path.name}: its {name} cannot be read here ({_error_text(error)}); hand in the environment that "
+            f"it was trained in: load_model(path, env=env)"
         )
     space = getattr(env, f"single_{name}", None) or getattr(env, name)
     if different := misfits(data[name], space):
@@ -198,11 +198,11 @@ def _unreadable(path: Path, kind: type[BaseAlgorithm], data: Mapping[str, Any], 
     listed = f" The file says that it holds {known}." if known and name == "policy_kwargs" else ""
     load = f"{kind.__name__}.load({str(path)!r}, custom_objects={{{name!r}: ...}})"
     return (
-        f"{path.name}: its {name} cannot be read here ({_told(error)}).{listed} Load it in Python, where the "
+        f"{path.name}: its {name} cannot be read here ({_error_text(error)}).{listed} Load it in Python, where the "
         f"class is defined, model = {load}, and hand the model to Shield, "
         "ShieldedEnv or run_paired; or model.save() it under another name, which this command reads"
     )
 
 
-def _told(error: Exception) -> str:
+def _error_text(error: Exception) -> str:
     return f"{type(error).__name__}: {error}"

@@ -17,7 +17,7 @@ import highway_env  # noqa: F401  (registers the environments)
 import pandas as pd
 
 from dynamics.errors import ConfigError
-from dynamics.learned.data.collect import Predicts, collect
+from dynamics.learned.data.collect import PredictingPolicy, collect
 from dynamics.learned.data.transitions import Transitions
 from dynamics.learned.models.files import load_model
 from dynamics.learned.models.linear import LinearStructuredModel
@@ -28,15 +28,15 @@ from dynamics.learned.training.distill import distill
 from dynamics.learned.training.fit import Fit, fit
 from dynamics.learned.training.on_policy_rounds import Round, RoundsConfig, first_driving, rounds
 from dynamics.learned.training.open_loop import OpenLoop, open_loop
-from dynamics.learned.training.variants import DEFAULT, VARIANTS, Variant, variant
+from dynamics.learned.training.variants import DEFAULT, VARIANTS, LearningVariant, variant
 
 __all__ = [
     "ENVIRONMENTS",
     "HORIZON",
     "TEST",
     "TRUTH",
+    "ModelTest",
     "TimedRound",
-    "Trial",
     "errors",
     "fresh_driving",
     "learn",
@@ -68,7 +68,7 @@ class TimedRound:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trial:
+class ModelTest:
     """Test result of a model.
 
     Attributes
@@ -87,21 +87,21 @@ class Trial:
     on_policy: OpenLoop
 
 
-def driver(env: Any) -> Callable[[LinearStructuredModel, Transitions], Predicts]:
+def driver(env: Any) -> Callable[[LinearStructuredModel, Transitions], PredictingPolicy]:
     """A function that makes the driver of on-policy rounds.
 
     The driver plans with the macro-steps of the model, or with the model itself if its form has no macro-steps.
     """
     from mpc.cem_policy import CEMPolicy
 
-    def make(model: LinearStructuredModel, data: Transitions) -> Predicts:
+    def make(model: LinearStructuredModel, data: Transitions) -> PredictingPolicy:
         return CEMPolicy.parking(env, distill(model, data) if model.config.form == "body" else model)
 
     return make
 
 
 def learn(
-    setup: Variant, env_id: str = "parking-v0", progress: bool = False, tensorboard: str | None = None
+    setup: LearningVariant, env_id: str = "parking-v0", progress: bool = False, tensorboard: str | None = None
 ) -> Iterator[TimedRound]:
     """Collect data and fit models as a variant specifies, and yield each round as `TimedRound`.
 
@@ -147,10 +147,10 @@ def fresh_driving(
     return random, on_policy
 
 
-def trial(name: str, seed: int, model: DynamicsModel, transitions: int, seconds: float, tests: Any) -> Trial:
+def model_test(name: str, seed: int, model: DynamicsModel, transitions: int, seconds: float, tests: Any) -> ModelTest:
     """Open-loop errors of a model in both kinds of driving."""
     random, on_policy = (open_loop(model, part, HORIZON) for part in tests)
-    return Trial(name, seed, transitions, seconds, random, on_policy)
+    return ModelTest(name, seed, transitions, seconds, random, on_policy)
 
 
 def study(
@@ -159,7 +159,7 @@ def study(
     env_id: str = "parking-v0",
     transitions: int = TEST,
     progress: Callable[[str], None] = lambda line: None,
-) -> Iterator[list[Trial]]:
+) -> Iterator[list[ModelTest]]:
     """Train variants and test them, seed after seed; the last result of each seed is the true bicycle's.
 
     Raises
@@ -169,7 +169,7 @@ def study(
     """
     setups = {name: variant(name) for name in names}
     for seed in seeds:
-        out: list[Trial] = []
+        out: list[ModelTest] = []
         progress(f"seed {seed}: {DEFAULT}, and test driving")
         default = variant(DEFAULT).seeded(seed)
         learned = [timed.round for timed in learn(default, env_id)]
@@ -178,13 +178,17 @@ def study(
         for name, setup in setups.items():
             progress(f"seed {seed}: {name}")
             fitted, count = _learned(setup.seeded(seed), default, learned, random_data, env_id)
-            out.append(trial(name, seed, fitted.model, count, fitted.seconds, tests))
-        out.append(trial(TRUTH, seed, BicycleModel(), 0, 0.0, tests))
+            out.append(model_test(name, seed, fitted.model, count, fitted.seconds, tests))
+        out.append(model_test(TRUTH, seed, BicycleModel(), 0, 0.0, tests))
         yield out
 
 
 def _learned(
-    setup: Variant, default: Variant, rounds_done: Sequence[Round], driven: dict[RoundsConfig, Transitions], env_id: str
+    setup: LearningVariant,
+    default: LearningVariant,
+    rounds_done: Sequence[Round],
+    driven: dict[RoundsConfig, Transitions],
+    env_id: str,
 ) -> tuple[Fit, int]:
     """The last fit of a variant and the size of its data; earlier rounds and data are reused."""
     number = setup.data.rounds
@@ -205,7 +209,7 @@ def _learned(
     return fit(driven[key], setup.model, setup.fit), len(driven[key])
 
 
-def stored(folders: Mapping[str, Path], data_file: str, env_id: str, transitions: int = TEST) -> list[Trial]:
+def stored(folders: Mapping[str, Path], data_file: str, env_id: str, transitions: int = TEST) -> list[ModelTest]:
     """Test saved models, each in driving of its own; `data_file` in its folder has the data of its planner's range.
 
     Raises
@@ -216,11 +220,11 @@ def stored(folders: Mapping[str, Path], data_file: str, env_id: str, transitions
     out = []
     for name, folder in folders.items():
         model, data = load_model(folder), Transitions.load(folder / data_file)
-        out.append(trial(name, 0, model, len(data), 0.0, fresh_driving(model, data, 0, transitions, env_id)))
+        out.append(model_test(name, 0, model, len(data), 0.0, fresh_driving(model, data, 0, transitions, env_id)))
     return out
 
 
-def errors(trials: Sequence[Trial]) -> pd.DataFrame:
+def errors(trials: Sequence[ModelTest]) -> pd.DataFrame:
     """One row for each result: position errors [m] after 1 and `HORIZON` decisions, medians and 95 % quantiles."""
     rows = []
     for each in trials:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import kernel_no_refcount
 from dynamics.state import FloatArray
 from evaluation.measuring.tally import HORIZON, distance, time_to_collision
 
@@ -17,7 +17,7 @@ _LEAST_SPEED = 0.1
 _ROUNDING = 1.0 + 1e-9
 
 
-@uncounted
+@kernel_no_refcount
 def least_clearance(states: FloatArray) -> float:
     """Least distance between the ego and another body [m]; inf without others.
 
@@ -39,7 +39,7 @@ def least_clearance(states: FloatArray) -> float:
     return least
 
 
-@uncounted
+@kernel_no_refcount
 def least_time_to_collision(states: FloatArray) -> float:
     """Least `evaluation.measuring.tally.time_to_collision` of the ego in a frame, at most `HORIZON` [s].
 
@@ -61,7 +61,7 @@ def least_time_to_collision(states: FloatArray) -> float:
     return least
 
 
-@uncounted
+@kernel_no_refcount
 def least_headway(states: FloatArray) -> float:
     """Least time in which the ego reaches the present rear of a vehicle ahead in its path [s].
 

@@ -9,12 +9,12 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from dynamics.state import BoolArray, FloatArray
 
-__all__ = ["SideBySide"]
+__all__ = ["BatchMeasures"]
 
 _SPEED, _CRASHED = 3, 6
 
 
-class SideBySide:
+class BatchMeasures:
     """Sums over the present episode of each environment, (e,).
 
     Parameters

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.state import BoolArray, FloatArray, IntArray
-from dynamics.traffic.rules_of_the_road import Rule
-from shield.batch.arrays import Records
+from dynamics.traffic.rules_of_the_road import RoadRule
+from shield.batch.arrays import BatchRecords
 from shield.batch.codes import FALLBACKS, OVERRIDES
 
 __all__ = ["HORIZON", "SOON", "Tallies", "begin_tally", "distance", "empty_tallies", "tally", "time_to_collision"]
@@ -30,7 +30,7 @@ class Tallies(NamedTuple):
     min_ttc : least time to a collision at constant velocities, at most `HORIZON`, and 0 in a crash [s].
     speeds : sum of the ego's speed over `counted` frames, up to a crash [m/s].
     fallbacks : number of decisions with a fallback.
-    broken : sums of `Records.broken`, (e, rules).
+    broken : sums of `BatchRecords.broken`, (e, rules).
     """
 
     total: FloatArray
@@ -54,11 +54,11 @@ class Tallies(NamedTuple):
 def empty_tallies(e: int) -> Tallies:
     """Tallies of zeros for e environments."""
     kinds: list[Any] = [float, int, float, int, int, int, int, int, int, float, float, float, bool, bool, int]
-    rows: list[Any] = [*(np.zeros(e, kind) for kind in kinds), np.zeros((e, len(Rule)), int)]
+    rows: list[Any] = [*(np.zeros(e, kind) for kind in kinds), np.zeros((e, len(RoadRule)), int)]
     return Tallies(*rows)
 
 
-@inlined
+@kernel_inline
 def _to_corners(a: FloatArray, b: FloatArray) -> float:
     """Least distance between rectangle `b` and a corner of `a` [m]."""
     cos_a, sin_a, cos_b, sin_b = math.cos(a[2]), math.sin(a[2]), math.cos(b[2]), math.sin(b[2])
@@ -73,7 +73,7 @@ def _to_corners(a: FloatArray, b: FloatArray) -> float:
     return least
 
 
-@uncounted
+@kernel_no_refcount
 def distance(a: FloatArray, b: FloatArray) -> float:
     """Distance between two vehicle rows (7,) [m], 0 if they overlap.
 
@@ -90,7 +90,7 @@ def distance(a: FloatArray, b: FloatArray) -> float:
     return 0.0 if gap <= 0 else min(_to_corners(a, b), _to_corners(b, a))
 
 
-@inlined
+@kernel_inline
 def _while_near(offset: float, speed: float, half: float) -> tuple[float, float]:
     """Start and end of the overlap of two intervals, with centres `offset` apart that separate at `speed`."""
     if abs(speed) < 1e-9:
@@ -99,7 +99,7 @@ def _while_near(offset: float, speed: float, half: float) -> tuple[float, float]
     return (a, b) if a < b else (b, a)
 
 
-@uncounted
+@kernel_no_refcount
 def time_to_collision(a: FloatArray, b: FloatArray) -> float:
     """Time until two vehicle rows (7,) overlap at constant velocities, at most `HORIZON` [s].
 
@@ -119,7 +119,7 @@ def time_to_collision(a: FloatArray, b: FloatArray) -> float:
     return least if least < most else HORIZON
 
 
-@uncounted
+@kernel_no_refcount
 def _see(rows: FloatArray, off_road: bool, tallies: Tallies, e: int, times: bool) -> None:
     """Add one frame, with bodies (m, 7), the ego first; see `tally`."""
     tallies.off_road[e] = tallies.off_road[e] or off_road
@@ -140,7 +140,7 @@ def _see(rows: FloatArray, off_road: bool, tallies: Tallies, e: int, times: bool
             tallies.min_ttc[e] = min(tallies.min_ttc[e], time_to_collision(ego, rows[i]))
 
 
-@uncounted
+@kernel_no_refcount
 def begin_tally(tallies: Tallies, e: int, rows: FloatArray, off_road: bool, times: bool) -> None:
     """Reset the tallies of environment `e` and add the scene after its reset; see `tally`."""
     tallies.total[e] = tallies.speeds[e] = 0.0
@@ -154,10 +154,10 @@ def begin_tally(tallies: Tallies, e: int, rows: FloatArray, off_road: bool, time
     _see(rows, off_road, tallies, e, times)
 
 
-@uncounted
+@kernel_no_refcount
 def tally(
     tallies: Tallies,
-    records: Records,
+    records: BatchRecords,
     rows: FloatArray,
     off_road: BoolArray,
     reward: FloatArray,

@@ -16,18 +16,18 @@ from dynamics.road_networks.geometry.road_geometry import RoadGeometry
 from dynamics.roads.straight import StraightRoad
 from dynamics.state import RoadState, State, Vehicle
 from evaluation.measuring.rectangles import polygons
-from evaluation.replay.record import Area, rounded
-from evaluation.report.reachable_areas import strip_outline
-from shield.certificate.network.workspace import Foreseen
-from shield.certificate.road.memory import Instant
+from evaluation.replay.record import ReplayArea, rounded
+from evaluation.report.reachable_areas import interval_outline
+from shield.certificate.network.workspace import NetworkPrediction
+from shield.certificate.road.memory import ObservedScene
 from shield.decision import Decision
-from shield.explaining.roads import Roads
-from shield.explaining.simulated import Simulated
-from shield.pipelines.decide import Made
+from shield.explaining.roads import NetworkDecisionData
+from shield.explaining.simulated import SimulatedDecisionData
+from shield.pipelines.decide import DecisionData
 
 __all__ = ["areas_at"]
 
-Columns = Mapping[Any, int]
+BodyColumns = Mapping[Any, int]
 """Number of each body in the replay, by the simulator's object."""
 _ASSUMED = 1.0
 """Time ahead that is shown if a refusal has no time [s]."""
@@ -41,9 +41,9 @@ def areas_at(
     refused: Decision,
     after: float,
     dt: float,
-    column: Columns,
-    foreseen: tuple[RoadGeometry, Foreseen] | None,
-) -> list[Area]:
+    column: BodyColumns,
+    foreseen: tuple[RoadGeometry, NetworkPrediction] | None,
+) -> list[ReplayArea]:
     """Reachable areas of other vehicles.
 
     Parameters
@@ -55,18 +55,18 @@ def areas_at(
     foreseen : on a road network, its geometry and the reachable lane intervals of that frame.
     """
     frames = max(1, round((after if np.isfinite(after) else _ASSUMED) / dt))
-    if foreseen is not None and isinstance(refused.source, Roads):
-        return _strips(*foreseen, frames, refused.source.who, column)
-    if isinstance(refused.source, Made):
+    if foreseen is not None and isinstance(refused.source, NetworkDecisionData):
+        return _interval_areas(*foreseen, frames, refused.source.who, column)
+    if isinstance(refused.source, DecisionData):
         return _rectangles(refused.source, frames, column)
-    if isinstance(refused.source, Simulated):
+    if isinstance(refused.source, SimulatedDecisionData):
         return _bodies(refused.source, frames, column)
     return []
 
 
-def _rectangles(made: Made[Any], frames: int, column: Columns) -> list[Area]:
+def _rectangles(made: DecisionData[Any], frames: int, column: BodyColumns) -> list[ReplayArea]:
     view, _ = made.procedure.observe(made.memory, made.scene)
-    if not isinstance(view, Instant):
+    if not isinstance(view, ObservedScene):
         return []
     scene, found = view.scene, []
     ego = scene.ego[: State.Y + 1]
@@ -82,24 +82,29 @@ def _rectangles(made: Made[Any], frames: int, column: Columns) -> list[Area]:
         states[:, RoadState.R] = np.repeat([r_min, r_max], n)
         outline = np.asarray(scene.road.to_world(states))[:, : State.Y + 1]
         if np.hypot(*(outline - ego).T).min() < _FAR:
-            found.append(Area(column.get(body, -1), rounded(outline)))
+            found.append(ReplayArea(column.get(body, -1), rounded(outline)))
     return found
 
 
-def _strips(geometry: RoadGeometry, foreseen: Foreseen, frames: int, who: Sequence[Any], column: Columns) -> list[Area]:
+def _interval_areas(
+    geometry: RoadGeometry, foreseen: NetworkPrediction, frames: int, who: Sequence[Any], column: BodyColumns
+) -> list[ReplayArea]:
     frame = min(frames, foreseen.most.shape[1] - 1)
-    outlines = [strip_outline(geometry, foreseen, j, frame, frame) for j in range(len(foreseen.lanes))]
+    outlines = [interval_outline(geometry, foreseen, j, frame, frame) for j in range(len(foreseen.lanes))]
     return [
-        Area(column.get(who[int(vehicle)], -1), rounded(outline))
+        ReplayArea(column.get(who[int(vehicle)], -1), rounded(outline))
         for vehicle, outline in zip(foreseen.vehicles, outlines, strict=True)
         if outline is not None
     ]
 
 
-def _bodies(source: Simulated, frames: int, column: Columns) -> list[Area]:
+def _bodies(source: SimulatedDecisionData, frames: int, column: BodyColumns) -> list[ReplayArea]:
     rows, ego = source.foretold()
     if not len(rows):
         return []
     row = rows[min(frames, len(rows) - 1)]
     there = [k for k in range(len(row)) if k != ego and row[k, Vehicle.LENGTH] > 0]
-    return [Area(column.get(source.who[k], -1), rounded(shapely.get_coordinates(polygons(row[k]))[:-1])) for k in there]
+    return [
+        ReplayArea(column.get(source.who[k], -1), rounded(shapely.get_coordinates(polygons(row[k]))[:-1]))
+        for k in there
+    ]

@@ -15,23 +15,23 @@ from dynamics.vehicle.actuators import Actuators
 from evaluation.measuring.recorder import read_road
 from evaluation.replay.areas import areas_at
 from evaluation.replay.frames import frames_of
-from evaluation.replay.record import Body, LaneDrawn, Override, Replay, Step, WhatIf, rounded
-from evaluation.replay.what_if import copy_unwatched, what_if
-from evaluation.report.draw import World
+from evaluation.replay.record import LaneDrawn, Replay, ReplayBody, ReplayOverride, ReplayStep, WhatIf, rounded
+from evaluation.replay.what_if import copy_without_recorder, what_if
+from evaluation.report.draw import WorldFrame
 from evaluation.report.proposal import action_labels
 from evaluation.running.driver import Driver, DriverSpec
 from evaluation.running.identity import versions
-from evaluation.running.records import EpisodeRecord, Variant
+from evaluation.running.records import EpisodeRecord, ShieldVariant
 from evaluation.settings import Setting
 from evaluation.threads import one_thread
 from shield import Shield, ShieldedEnv
-from shield.certificate.network.workspace import Foreseen
+from shield.certificate.network.workspace import NetworkPrediction
 from shield.decision import Decision
 from shield.explaining.words import action_name, inputs_name
 from shield.explanation import Explanation
-from shield.filters.network import RoadDoor
+from shield.filters.network import NetworkFilter
 
-__all__ = ["Asked", "StepSeen", "collect"]
+__all__ = ["RecordedStep", "ReplayRequest", "collect"]
 
 _SAMPLE = 2.0
 """Distance of two points of the edge of a curved lane [m]."""
@@ -40,12 +40,12 @@ _APART = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class ReplayRequest:
     """Specification of the episode, as in `evaluation.running.episodes.run_episode`."""
 
     setting: Setting
     policy: str
-    variant: Variant
+    variant: ShieldVariant
     seed: int
     algorithm: str | None = None
     model: str | None = None
@@ -53,7 +53,7 @@ class Asked:
 
 
 @dataclass(slots=True)
-class StepSeen:
+class RecordedStep:
     """One step.
 
     Attributes
@@ -71,25 +71,25 @@ class StepSeen:
     record: Decision
     frames: list[Decision]
     inputs: list[tuple[float, float]]
-    foreseen: list[Foreseen]
+    foreseen: list[NetworkPrediction]
     explanation: Explanation
     what_if: WhatIf | None = None
 
 
-class _Watch:
+class _ReplayRecorder:
     """Records an episode as it is driven; `Driver.run` calls `before` and `after`."""
 
-    def __init__(self, driver: Driver, asked: Asked, follows: bool) -> None:
+    def __init__(self, driver: Driver, asked: ReplayRequest, follows: bool) -> None:
         self.driver, self.asked, self.follows = driver, asked, follows
         shielded = driver.env if driver.shield is None else driver.shield
         assert isinstance(shielded, Shield | ShieldedEnv)
         self.shielded = shielded
         shielded.record()
         self.base: Any = driver.env.unwrapped
-        self.steps: list[StepSeen] = []
+        self.steps: list[RecordedStep] = []
         self._frames = self._first = self._next = 0
         self._inputs: list[tuple[float, float]] = []
-        self._foreseen: list[Foreseen] = []
+        self._foreseen: list[NetworkPrediction] = []
         self._copied: Any = None
         self._column: dict[Any, int] = {}
 
@@ -106,7 +106,7 @@ class _Watch:
         self._copied = None
         if self.follows and not (self._inputs_only and self._frames < self._next):
             inner = self.driver.env.env if isinstance(self.driver.env, ShieldedEnv) else self.driver.env
-            self._copied = copy_unwatched(inner)
+            self._copied = copy_without_recorder(inner)
             columns, copied = self.driver.recorder.columns, self._copied.unwrapped.road
             there = self.base.road
             pairs = [
@@ -119,7 +119,7 @@ class _Watch:
         """Record the executed decision, and simulate its proposal if that was refused."""
         shielded = self.shielded
         frames = shielded.frame_decisions if isinstance(shielded, ShieldedEnv) else shielded.frame_decisions[0]
-        seen = StepSeen(self._first, record, list(frames), self._inputs, self._foreseen, record.explain())
+        seen = RecordedStep(self._first, record, list(frames), self._inputs, self._foreseen, record.explain())
         if self._copied is not None and record.overridden:
             asked, buffer = self.asked, self.shielded.config.buffer
             room = buffer.longitudinal, buffer.lateral
@@ -138,7 +138,7 @@ class _Watch:
         def step(dt: float) -> None:
             action = self.base.vehicle.action
             self._inputs.append((float(action["acceleration"]), float(action["steering"])))
-            if isinstance(self.door, RoadDoor) and not self.door.cause:
+            if isinstance(self.door, NetworkFilter) and not self.door.cause:
                 self._foreseen.append(self.door.foreseen)
             self._frames += 1
             inner(dt)
@@ -147,7 +147,7 @@ class _Watch:
 
 
 def collect(
-    asked: Asked, follows: bool = True, told: Callable[[float, Decision], None] | None = None
+    asked: ReplayRequest, follows: bool = True, told: Callable[[float, Decision], None] | None = None
 ) -> tuple[Replay, EpisodeRecord]:
     """Drive an episode and record it.
 
@@ -168,7 +168,7 @@ def collect(
     )
     try:
         with one_thread():
-            watch = _Watch(driver, asked, follows)
+            watch = _ReplayRecorder(driver, asked, follows)
 
             def after(time: float, step: Decision) -> None:
                 watch.after(step)
@@ -181,14 +181,14 @@ def collect(
         driver.env.close()
 
 
-def _replay(watch: _Watch, record: EpisodeRecord) -> Replay:
+def _replay(watch: _ReplayRecorder, record: EpisodeRecord) -> Replay:
     base, config = watch.base, watch.shielded.config
     world, columns = watch.driver.recorder.world(), watch.driver.recorder.columns
     dt, straight = 1.0 / base.config["simulation_frequency"], read_road(base.road.network)
-    in_world = config.simulates or isinstance(watch.door, RoadDoor)
-    road = World() if in_world or straight is None else straight
+    in_world = config.simulates or isinstance(watch.door, NetworkFilter)
+    road = WorldFrame() if in_world or straight is None else straight
     name, meta = _namer(base)
-    geometry = RoadGeometry.of(base) if isinstance(watch.door, RoadDoor) else None
+    geometry = RoadGeometry.of(base) if isinstance(watch.door, NetworkFilter) else None
     return Replay(
         about={**_about(watch, record), "actions": "meta-actions" if meta else "inputs"},
         buffer=(config.buffer.longitudinal, config.buffer.lateral),
@@ -206,7 +206,7 @@ def _replay(watch: _Watch, record: EpisodeRecord) -> Replay:
     )
 
 
-def _about(watch: _Watch, record: EpisodeRecord) -> dict[str, Any]:
+def _about(watch: _ReplayRecorder, record: EpisodeRecord) -> dict[str, Any]:
     asked = watch.asked
     return {
         "setting": record.setting,
@@ -260,14 +260,14 @@ def _lane(lane: Any) -> LaneDrawn:
     return LaneDrawn(left, right, (lines[0], lines[1]))
 
 
-def _bodies(world: Any, columns: dict[Any, int]) -> list[Body]:
+def _bodies(world: Any, columns: dict[Any, int]) -> list[ReplayBody]:
     sizes = world[:, :, 4:6].max(axis=0)
-    return [Body(type(body).__name__, *map(float, sizes[k])) for body, k in columns.items()]
+    return [ReplayBody(type(body).__name__, *map(float, sizes[k])) for body, k in columns.items()]
 
 
-def _step(seen: StepSeen, name: Callable[[Any], str]) -> Step:
+def _step(seen: RecordedStep, name: Callable[[Any], str]) -> ReplayStep:
     record = seen.record
-    return Step(
+    return ReplayStep(
         first=seen.first,
         proposed=name(record.proposed),
         executed=name(record.executed),
@@ -285,15 +285,15 @@ def _step(seen: StepSeen, name: Callable[[Any], str]) -> Step:
 
 
 def _override(
-    number: int, seen: StepSeen, columns: dict[Any, int], dt: float, geometry: RoadGeometry | None
-) -> Override:
+    number: int, seen: RecordedStep, columns: dict[Any, int], dt: float, geometry: RoadGeometry | None
+) -> ReplayOverride:
     why = seen.explanation
     cause = -1 if why.cause is None else columns.get(why.cause.vehicle, -1)
     refused = seen.record if seen.record.refusal is None else seen.record.refusal[0]
     foreseen = None
     if geometry is not None and why.frame < len(seen.foreseen):
         foreseen = geometry, seen.foreseen[why.frame]
-    return Override(
+    return ReplayOverride(
         step=number,
         frame=seen.first + why.frame,
         refused=why.refused,

@@ -12,14 +12,14 @@ from dynamics.roads.straight import Road
 from dynamics.scenes.scene import Scene
 from dynamics.state import FloatArray, State
 from evaluation.measuring.recorder import Track
-from evaluation.replay.record import STEP, TURN, Frame, rounded
-from evaluation.report.draw import World, acting_decision, status_of
+from evaluation.replay.record import STEP, TURN, ReplayFrame, rounded
+from evaluation.report.draw import WorldFrame, acting_decision, status_of
 from shield.decision import Decision, Tier
-from shield.explaining.roads import Roads
-from shield.pipelines.decide import Made
+from shield.explaining.roads import NetworkDecisionData
+from shield.pipelines.decide import DecisionData
 
 if TYPE_CHECKING:
-    from evaluation.replay.collect import StepSeen
+    from evaluation.replay.collect import RecordedStep
 
 __all__ = ["frames_of"]
 
@@ -30,13 +30,13 @@ _POINTS = 24
 
 
 def frames_of(
-    steps: Sequence[StepSeen],
+    steps: Sequence[RecordedStep],
     world: FloatArray,
     columns: Mapping[Any, int],
-    road: Road | World,
+    road: Road | WorldFrame,
     meta: bool,
     dt: float,
-) -> list[Frame]:
+) -> list[ReplayFrame]:
     """Make one frame for each recorded state.
 
     Parameters
@@ -60,8 +60,13 @@ def frames_of(
 
 
 def _decided(
-    number: int, seen: StepSeen, age: int, inputs: tuple[float, float], about: Decision | None, where: tuple[Any, ...]
-) -> Frame:
+    number: int,
+    seen: RecordedStep,
+    age: int,
+    inputs: tuple[float, float],
+    about: Decision | None,
+    where: tuple[Any, ...],
+) -> ReplayFrame:
     rows, columns, road, meta, time = where
     record = seen.record
     told = record if about is None else about
@@ -71,7 +76,7 @@ def _decided(
         plan, first = record.plan, age
     points, every = _points(plan, first, road)
     ego = rows[0]
-    return Frame(
+    return ReplayFrame(
         time=time,
         x=float(ego[Track.S]),
         y=float(ego[Track.R]),
@@ -93,13 +98,13 @@ def _decided(
     )
 
 
-def _bare(rows: FloatArray, time: float) -> Frame:
+def _bare(rows: FloatArray, time: float) -> ReplayFrame:
     x, y, heading, speed = (float(value) for value in rows[0, : Track.LENGTH])
-    return Frame(time, x, y, heading, speed, -1, "", nan, nan, "", "", nan, "", -1, _others(rows), [], 1, 0)
+    return ReplayFrame(time, x, y, heading, speed, -1, "", nan, nan, "", "", nan, "", -1, _others(rows), [], 1, 0)
 
 
 def _others(rows: FloatArray) -> list[int]:
-    """Values of `Frame.others`."""
+    """Values of `ReplayFrame.others`."""
     near = np.hypot(*(rows[:, : State.Y + 1] - rows[0, : State.Y + 1]).T) < _VIEW
     near[0] = False
     there = np.flatnonzero(near & (rows[:, Track.LENGTH] > 0))
@@ -107,7 +112,7 @@ def _others(rows: FloatArray) -> list[int]:
     return rounded(np.column_stack([there, states]), 1.0)
 
 
-def _points(plan: FloatArray | None, first: int, road: Road | World) -> tuple[list[int], int]:
+def _points(plan: FloatArray | None, first: int, road: Road | WorldFrame) -> tuple[list[int], int]:
     """Points of a plan from a frame on, and the number of frames from one to the next."""
     if plan is None or len(plan) <= first + 1:
         return [], 1
@@ -122,9 +127,9 @@ def _binding(decision: Decision, columns: Mapping[Any, int]) -> int:
     source, row = decision.source, decision.vehicle
     if row < 0:
         return -1
-    if isinstance(source, Made) and isinstance(source.scene, Scene) and source.scene.bodies is not None:
+    if isinstance(source, DecisionData) and isinstance(source.scene, Scene) and source.scene.bodies is not None:
         who: Sequence[Any] = source.scene.bodies
-    elif isinstance(source, Roads):
+    elif isinstance(source, NetworkDecisionData):
         who = source.who
     else:
         return -1

@@ -20,13 +20,13 @@ from dynamics.state import FloatArray
 __all__ = [
     "STEP",
     "TURN",
-    "Area",
-    "Body",
-    "Frame",
     "LaneDrawn",
-    "Override",
     "Replay",
-    "Step",
+    "ReplayArea",
+    "ReplayBody",
+    "ReplayFrame",
+    "ReplayOverride",
+    "ReplayStep",
     "WhatIf",
     "poses",
     "rounded",
@@ -54,7 +54,7 @@ class LaneDrawn:
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
+class ReplayBody:
     """A vehicle or an obstacle: name of its class, length and width [m]. The first body is the ego."""
 
     kind: str
@@ -63,7 +63,7 @@ class Body:
 
 
 @dataclass(frozen=True, slots=True)
-class Area:
+class ReplayArea:
     """Reachable area of another vehicle: index of its body, -1 if unknown, and an outline in units of `STEP`."""
 
     body: int
@@ -71,7 +71,7 @@ class Area:
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class ReplayFrame:
     """One simulation frame before it is executed; the last frame of an episode has no decision.
 
     Attributes
@@ -111,7 +111,7 @@ class Frame:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class ReplayStep:
     """Record of one step, `shield.decision.Decision` in words.
 
     Attributes
@@ -168,7 +168,7 @@ class WhatIf:
 
 
 @dataclass(frozen=True, slots=True)
-class Override:
+class ReplayOverride:
     """A step with a refused proposal: its explanation in parts (`shield.explanation.Explanation`).
 
     Attributes
@@ -193,7 +193,7 @@ class Override:
     short: float
     binding: float
     cause: int
-    areas: list[Area]
+    areas: list[ReplayArea]
     what_if: WhatIf | None
 
 
@@ -215,10 +215,10 @@ class Replay:
     dt: float
     straight: bool
     lanes: list[LaneDrawn]
-    bodies: list[Body]
-    frames: list[Frame]
-    steps: list[Step]
-    overrides: list[Override]
+    bodies: list[ReplayBody]
+    frames: list[ReplayFrame]
+    steps: list[ReplayStep]
+    overrides: list[ReplayOverride]
 
     def to_json(self) -> str:
         """The replay as JSON, with objects like the classes here.

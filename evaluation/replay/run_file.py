@@ -13,19 +13,19 @@ import tomli_w
 
 from evaluation.names import BASELINES, check_policy
 from evaluation.policies import list_references
-from evaluation.replay.collect import Asked, collect
+from evaluation.replay.collect import ReplayRequest, collect
 from evaluation.replay.html import write_page
 from evaluation.report.table import made_of, read_episodes
 from evaluation.running.driver import policy_name
 from evaluation.running.identity import differences, of_environment, policy_files, versions
 from evaluation.running.parts import Parts
-from evaluation.running.records import EpisodeRecord, Variant, variant_for
+from evaluation.running.records import EpisodeRecord, ShieldVariant, variant_for
 from evaluation.running.store_rows import is_store
 from evaluation.settings import SETTINGS, Setting
 from shield.config import ShieldConfig
 from shield.errors import ConfigError, ShieldError
 
-__all__ = ["Recorded", "check_same", "episode_of", "run_file", "write_replay"]
+__all__ = ["RecordedEpisode", "check_same", "episode_of", "run_file", "write_replay"]
 
 _COMPARED = ("crashed", "off_road", "return", "steps", "overridden", "held_back", "frames", "frames_overridden")
 """Columns that have to be equal in a replay."""
@@ -35,10 +35,10 @@ _CERTIFIED = "asked.json"
 
 
 @dataclass(frozen=True, slots=True)
-class Recorded:
+class RecordedEpisode:
     """An episode of a run: its specification, its row, and differences of the library versions, in words."""
 
-    asked: Asked
+    asked: ReplayRequest
     row: Mapping[str, Any]
     changed: tuple[str, ...]
 
@@ -60,7 +60,7 @@ def run_file(run: str | Path) -> Path:
     return path
 
 
-def episode_of(run: str | Path, number: int, policy: str | None = None) -> Recorded:
+def episode_of(run: str | Path, number: int, policy: str | None = None) -> RecordedEpisode:
     """Read an episode of a run of `shield evaluate` or `shield certify`.
 
     Parameters
@@ -94,17 +94,19 @@ def episode_of(run: str | Path, number: int, policy: str | None = None) -> Recor
     if "door" in row:
         door, _, perception = row["door"].partition(", ")
         config = _config(asked["shields"][f"{name}, {row['door']}, {row['mode']}"])
-        variant = Variant(door, config, perception or "simulator", row["mode"].partition(", ")[2])
+        variant = ShieldVariant(door, config, perception or "simulator", row["mode"].partition(", ")[2])
     else:
         variant = variant_for(_config(asked["shields"]), setting)
     chosen = _policy(row["policy"], policy, asked["policies"])
     changed = differences({"version of": made.get("versions", {})}, {"version of": versions()})
-    return Recorded(
-        Asked(setting, chosen, variant, int(row["seed"]), sensor=sensor or "exact"), row, tuple(changed[:_SHOWN])
+    return RecordedEpisode(
+        ReplayRequest(setting, chosen, variant, int(row["seed"]), sensor=sensor or "exact"),
+        row,
+        tuple(changed[:_SHOWN]),
     )
 
 
-def check_same(recorded: Recorded, record: EpisodeRecord) -> list[str]:
+def check_same(recorded: RecordedEpisode, record: EpisodeRecord) -> list[str]:
     """Differences of an episode's row and its repetition, in words."""
     again = record.row()
     return differences(

@@ -15,13 +15,13 @@ from evaluation.replay.record import WhatIf, poses
 from evaluation.running.named_policies import make_policy, start_episode
 from shield.explanation import number
 
-__all__ = ["LASTS", "copy_unwatched", "follow", "what_if"]
+__all__ = ["LASTS", "copy_without_recorder", "follow", "what_if"]
 
 LASTS = 4.0
 """Duration of the simulation, with the actions after the proposal [s]."""
 
 
-def copy_unwatched(env: Any) -> Any:
+def copy_without_recorder(env: Any) -> Any:
     """A copy of an environment without recorders and supervision, with the state of its random generators."""
     copied = deepcopy(env)
     base = copied.unwrapped
@@ -31,7 +31,7 @@ def copy_unwatched(env: Any) -> Any:
     return copied
 
 
-class _Watched:
+class _StateRecorder:
     """Records the states of all bodies in each frame: x, y, heading, speed, length, width, by body."""
 
     def __init__(self, base: Any) -> None:
@@ -56,14 +56,14 @@ class _Watched:
         self.off_road = self.off_road or is_off_road(self._base)
 
 
-def follow(copied: Any, action: Any, policy: str, seed: int) -> tuple[_Watched, str]:
+def follow(copied: Any, action: Any, policy: str, seed: int) -> tuple[_StateRecorder, str]:
     """Simulate an action in a copy, and then go on for `LASTS` seconds or to a crash.
 
     After a meta-action the ego drives with IDLE, else with the policy, unshielded.
 
     Parameters
     ----------
-    copied : result of `copy_unwatched`; it is driven.
+    copied : result of `copy_without_recorder`; it is driven.
     action : the first action.
     policy : name of the policy.
     seed : seed of the policy.
@@ -73,7 +73,7 @@ def follow(copied: Any, action: Any, policy: str, seed: int) -> tuple[_Watched, 
     The recorded states, and what drove after the action, in words.
     """
     base = copied.unwrapped
-    watched, frames = _Watched(base), round(LASTS * base.config["simulation_frequency"])
+    watched, frames = _StateRecorder(base), round(LASTS * base.config["simulation_frequency"])
     meta = isinstance(base.action_type, DiscreteMetaAction) and "IDLE" in base.action_type.actions_indexes
     then = "IDLE" if meta else f"{policy}, unshielded"
     driver: Any = None
@@ -134,7 +134,7 @@ def what_if(
     )
 
 
-def _text(watched: _Watched, gap: float, within: bool, time: float, lasts: float) -> str:
+def _text(watched: _StateRecorder, gap: float, within: bool, time: float, lasts: float) -> str:
     """The result in words."""
     off = ", and leaves the road" if watched.off_road else ""
     if watched.crash is not None:

@@ -11,11 +11,11 @@ import numpy as np
 from dynamics.roads.straight import Road, StraightRoad
 from dynamics.state import FloatArray, RoadState, State
 from evaluation.measuring.recorder import read_road
-from evaluation.report.draw import Shot, World
+from evaluation.report.draw import Shot, WorldFrame
 from evaluation.report.proposal import action_labels, ego_copy, proposed_path
 from evaluation.report.reachable_areas import ReachableAreas
 from shield import ShieldedEnv
-from shield.filters.network import RoadDoor
+from shield.filters.network import NetworkFilter
 
 __all__ = ["Camera"]
 
@@ -36,9 +36,9 @@ class Camera:
         self._base.enable_auto_render = False
         self._viewer: Any = self._base.viewer
         self._viewer.enabled = True  # highway-env draws nothing under SDL's dummy driver otherwise
-        self._road: Road | World = read_road(self._base.road.network) or World()
-        in_world = env.config.simulates or isinstance(env.door, RoadDoor)
-        self._frame: Road | World = World() if in_world else self._road
+        self._road: Road | WorldFrame = read_road(self._base.road.network) or WorldFrame()
+        in_world = env.config.simulates or isinstance(env.door, NetworkFilter)
+        self._frame: Road | WorldFrame = WorldFrame() if in_world else self._road
         self._viewer.observer_vehicle = SimpleNamespace(position=np.zeros(2))
         self._dt = 1.0 / self._base.config["simulation_frequency"]
         self._areas = ReachableAreas(self._base)

@@ -16,7 +16,7 @@ from evaluation.report.plots import picture_path
 from evaluation.scenarios import ComplexRoadsEnv
 from shield.errors import ConfigError
 
-__all__ = ["draw_course"]
+__all__ = ["draw_map"]
 
 _MARGIN = 15.0
 """Margin around the roads [m]."""
@@ -25,7 +25,7 @@ _DOT = 6.0
 _EGO, _OTHER = (50, 200, 0), (100, 200, 255)
 
 
-def draw_course(path: str | Path, config: Mapping[str, Any] | None = None, seed: int = 0, width: int = 1600) -> Path:
+def draw_map(path: str | Path, config: Mapping[str, Any] | None = None, seed: int = 0, width: int = 1600) -> Path:
     """Draw all roads of ComplexRoads-v0 and the vehicles on them.
 
     Parameters

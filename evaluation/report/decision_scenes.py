@@ -13,32 +13,32 @@ import numpy as np
 from dynamics.roads.straight import StraightRoad
 from dynamics.scenes.scene import EgoControl, Scene, Target
 from dynamics.state import FloatArray, RoadState, Vehicle
-from dynamics.traffic.occupancy import Occupancy, Surroundings
-from shield.alternatives.nearest_input import Judged
+from dynamics.traffic.occupancy import Occupancy, OtherVehicles
+from shield.alternatives.nearest_input import JudgedInputs
 from shield.certificate.road.manoeuvres import brake_candidates
-from shield.certificate.road.memory import Instant, Memory, observe
-from shield.certificate.road.verify import Surveyor
+from shield.certificate.road.memory import Memory, ObservedScene, observe
+from shield.certificate.road.verify import PathVerifier
 from shield.config import ShieldConfig
 from shield.decision import Decision
 from shield.pipelines.decide import decide
-from shield.pipelines.inputs import Inputs
+from shield.pipelines.inputs import InputPipeline
 
 __all__ = [
     "CONFIG",
     "LENGTH",
     "WIDTH",
-    "Bounds",
-    "Duties",
-    "Duty",
-    "Searched",
-    "SlipIn",
-    "Tube",
+    "CutInScene",
+    "InputSearch",
+    "Obligation",
+    "ObligationScene",
+    "ReachableBounds",
+    "ReachableTube",
     "bounds",
-    "duties",
+    "cut_in_scene",
     "extents",
+    "input_search",
+    "obligation_scene",
     "passing",
-    "searched",
-    "slip_in",
     "tube",
 ]
 
@@ -49,11 +49,11 @@ LENGTH, WIDTH = 5.0, 2.0
 _DT, _FINE = 1 / 15, 1 / 60
 """Duration of a frame, and of a shorter one for smooth curves [s]."""
 
-Row = tuple[float, float, float, float]
+RoadRow = tuple[float, float, float, float]
 """A vehicle: x, y [m], heading [rad], speed [m/s]."""
 
 
-def _scene(ego: Row, *others: Row, lanes: int, lane: int | None = None, dt: float = _DT) -> Scene:
+def _scene(ego: RoadRow, *others: RoadRow, lanes: int, lane: int | None = None, dt: float = _DT) -> Scene:
     """Vehicles of 5 m x 2 m on a straight road; lane i is centred at y = 4 i."""
     road = StraightRoad.from_lanes(lanes)
     rows = np.array([[*row, LENGTH, WIDTH, 0.0] for row in others], dtype=float).reshape(-1, len(Vehicle))
@@ -61,7 +61,7 @@ def _scene(ego: Row, *others: Row, lanes: int, lane: int | None = None, dt: floa
     return Scene(np.array([*ego, LENGTH, WIDTH, 0.0]), rows, road, EgoControl(target), dt, round(1 / dt))
 
 
-def _stop(now: Instant, lane: int, speed: float) -> tuple[FloatArray, float, FloatArray, FloatArray]:
+def _stop(now: ObservedScene, lane: int, speed: float) -> tuple[FloatArray, float, FloatArray, FloatArray]:
     """Plan of one frame towards a lane and a speed [m/s], then braking to a stop in that lane.
 
     Returns
@@ -82,7 +82,7 @@ def extents(states: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tube:
+class ReachableTube:
     """Plan behind a slower vehicle: a proposal for one frame and its fail-safe.
 
     Attributes
@@ -107,17 +107,17 @@ class Tube:
         return found
 
 
-def tube() -> Tube:
+def tube() -> ReachableTube:
     """FASTER behind a slower vehicle, during a lane change."""
     scene = _scene((0.0, 5.3, -0.06, 25.0), (18.0, 4.0, 0.0, 20.0), lanes=3, lane=1)
     now = observe(Memory(), scene, CONFIG)
     path, margin, *_ = _stop(now, 1, 30.0)
     occupancy = now.survey.around.occupancy(len(path))
-    return Tube(scene, path, occupancy, path[:, RoadState.S] + extents(path)[0], margin)
+    return ReachableTube(scene, path, occupancy, path[:, RoadState.S] + extents(path)[0], margin)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bounds:
+class ReachableBounds:
     """Reachable intervals of vehicles, along and across the road.
 
     Attributes
@@ -136,31 +136,31 @@ class Bounds:
     time: FloatArray
     stands: float
     across: Scene
-    around: Surroundings
+    around: OtherVehicles
 
 
-def bounds() -> Bounds:
+def bounds() -> ReachableBounds:
     """A vehicle at 20 m/s, one at 4 m/s that approaches a vehicle at rest, and three at different lateral positions."""
     frames = round(4.0 / _DT)
 
-    def along(*rows: Row) -> tuple[FloatArray, FloatArray]:
+    def along(*rows: RoadRow) -> tuple[FloatArray, FloatArray]:
         scene = _scene((-100.0, 0.0, 0.0, 20.0), *rows, lanes=1)
-        found = Surroundings(scene.others, scene.others_road, scene.road, CONFIG.assumptions, scene.dt)
+        found = OtherVehicles(scene.others, scene.others_road, scene.road, CONFIG.assumptions, scene.dt)
         return found.rear(frames)[0], found.front(frames)[0]
 
     stands = (9.0, 0.0, 0.0, 0.0)
     across = _scene(
         (-100.0, 0.0, 0.0, 20.0), (6.0, 0.0, 0.0, 20.0), (15.0, 4.7, 0.0, 20.0), (24.0, 10.1, 0.0, 20.0), lanes=4
     )
-    around = Surroundings(across.others, across.others_road, across.road, CONFIG.assumptions, across.dt)
+    around = OtherVehicles(across.others, across.others_road, across.road, CONFIG.assumptions, across.dt)
     time: FloatArray = _DT * np.arange(1, frames + 1, dtype=np.float64)
     rear = stands[0] - 0.5 * LENGTH
     speeds = 20.0, 4.0
     moving, queueing = along((0.0, 0.0, 0.0, speeds[0])), along((0.0, 0.0, 0.0, speeds[1]), stands)
-    return Bounds(speeds, moving, queueing, time, rear, across, around)
+    return ReachableBounds(speeds, moving, queueing, time, rear, across, around)
 
 
-class Duty(Enum):
+class Obligation(Enum):
     """Right-of-way obligation of a vehicle towards an ego that is about to enter a lane."""
 
     DISTANCE = "behind, in a lane that the ego owns: owes it its distance"
@@ -170,7 +170,7 @@ class Duty(Enum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Duties:
+class ObligationScene:
     """A lane change, and the obligation of each other vehicle.
 
     Attributes
@@ -187,13 +187,13 @@ class Duties:
     scene: Scene
     goal: int
     path: FloatArray
-    owes: tuple[Duty, ...]
+    owes: tuple[Obligation, ...]
     separations: FloatArray
     margin: float
-    survey: Surveyor
+    survey: PathVerifier
 
 
-def duties() -> Duties:
+def obligation_scene() -> ObligationScene:
     """The ego changes from lane 1 to lane 2 of four."""
     # A vehicle beside one in the ego's target lane has no incentive to change into that lane too.
     behind, leader, alongside = (-47.0, 4.0, 0.0, 27.0), (42.0, 4.0, 0.0, 22.0), (3.0, 0.0, 0.0, 25.0)
@@ -209,16 +209,16 @@ def duties() -> Duties:
     owes = []
     for j in range(len(others)):
         if seen.behind[j] and seen.held[j]:
-            owes.append(Duty.DISTANCE)
+            owes.append(Obligation.DISTANCE)
         elif seen.behind[j] and there[j]:
-            owes.append(Duty.NOT_YET)
+            owes.append(Obligation.NOT_YET)
         else:
-            owes.append(Duty.ENTERS if seen.comes[goal, j] else Duty.NOTHING)
-    return Duties(scene, goal, path, tuple(owes), separations, margin, now.survey)
+            owes.append(Obligation.ENTERS if seen.comes[goal, j] else Obligation.NOTHING)
+    return ObligationScene(scene, goal, path, tuple(owes), separations, margin, now.survey)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SlipIn:
+class CutInScene:
     """An ego that passes a slower vehicle which its leader obstructs, so that it may cut in.
 
     Attributes
@@ -242,7 +242,7 @@ def passing(ahead: float, offset: float) -> Scene:
     return _scene((ahead, offset, 0.0, 30.0), (0.0, 4.0, 0.0, 18.0), (24.0, 4.0, 0.0, 17.0), lanes=2, dt=_FINE)
 
 
-def slip_in(step: float = 0.25) -> SlipIn:
+def cut_in_scene(step: float = 0.25) -> CutInScene:
     """Separations of the cut-in clause at positions `step` [m] apart."""
     ahead, offsets = np.arange(-4.0, 10.0 + step, step), (0.0, 0.7)
     separations = np.full((2, ahead.size), np.inf)
@@ -252,11 +252,11 @@ def slip_in(step: float = 0.25) -> SlipIn:
             separations[i, k] = slipping.min(initial=np.inf)
     known = np.where(np.isfinite(separations).all(axis=0), separations, 0.0)
     at = int((known[0] - known[1]).argmax())
-    return SlipIn(ahead, offsets, separations, at, passing(float(ahead[at]), offsets[1]))
+    return CutInScene(ahead, offsets, separations, at, passing(float(ahead[at]), offsets[1]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Searched:
+class InputSearch:
     """A search for the nearest input that verifies.
 
     Attributes
@@ -280,7 +280,7 @@ class Searched:
     margins: FloatArray
 
 
-class _Noted(Inputs):
+class _RecordingInputs(InputPipeline):
     """Pipeline of inputs that records the inputs it verifies."""
 
     def __init__(self) -> None:
@@ -289,17 +289,22 @@ class _Noted(Inputs):
         self.strewn: list[FloatArray] = []
 
     def judge(
-        self, now: Instant, inputs: FloatArray, stops: list[int], parts: bool = False, survey: Surveyor | None = None
-    ) -> Judged:
+        self,
+        now: ObservedScene,
+        inputs: FloatArray,
+        stops: list[int],
+        parts: bool = False,
+        survey: PathVerifier | None = None,
+    ) -> JudgedInputs:
         """Record the inputs, and verify them."""
         (self.linearised if parts else self.strewn).append(inputs)
         return super().judge(now, inputs, stops, parts, survey)
 
 
-def searched(points: tuple[int, int] = (201, 301)) -> Searched:
+def input_search(points: tuple[int, int] = (201, 301)) -> InputSearch:
     """Throttle behind one leader and beside another vehicle; the grid has `points` accelerations and wheel angles."""
     scene = _scene((0.0, 3.0, 0.0, 21.5), (9.5, 4.0, 0.0, 17.5), (8.0, 0.0, 0.0, 19.0), lanes=3)
-    proposal, noted, plain = np.array([4.0, 0.01]), _Noted(), Inputs(CONFIG, predictive=False)
+    proposal, noted, plain = np.array([4.0, 0.01]), _RecordingInputs(), InputPipeline(CONFIG, predictive=False)
     decision, _ = decide(Memory(), scene, proposal, noted)
     now, _ = plain.observe(Memory(), scene)
     (_, gas), (left, right) = plain.actuators.acceleration, plain.actuators.steering
@@ -307,4 +312,4 @@ def searched(points: tuple[int, int] = (201, 301)) -> Searched:
     grid = np.stack(np.meshgrid(accelerations, wheels, indexing="ij"), axis=-1).reshape(-1, 2)
     margins = plain.judge(now, grid, plain.stop_lanes(now)).margin.reshape(accelerations.size, wheels.size)
     judged = np.concatenate(noted.linearised), np.concatenate(noted.strewn)
-    return Searched(scene, proposal, decision, *judged, accelerations, wheels, margins)
+    return InputSearch(scene, proposal, decision, *judged, accelerations, wheels, margins)

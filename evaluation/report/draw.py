@@ -33,7 +33,7 @@ __all__ = [
     "PROPOSAL",
     "RED",
     "Shot",
-    "World",
+    "WorldFrame",
     "acting_decision",
     "draw",
     "font",
@@ -57,7 +57,7 @@ _UNVERIFIED = "nothing was found that begins with it and keeps the buffer, the o
 """Text of `Reason.UNVERIFIED` for simulated traffic, which has no assumptions."""
 
 
-class World:
+class WorldFrame:
     """Stands in for a road if plans and areas are in the world frame already."""
 
     def to_world(self, states: FloatArray) -> FloatArray:
@@ -95,7 +95,7 @@ class Shot:
     image: NDArray[np.uint8]
     origin: tuple[float, float]
     scaling: float
-    road: Road | World
+    road: Road | WorldFrame
     dt: float
     time: float
     speed: float

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from dynamics.learned.tasks import parking_state as parking
-from evaluation.measuring.dynamics_study import HORIZON, Trial
+from evaluation.measuring.dynamics_study import HORIZON, ModelTest
 from evaluation.report.plots import plot_path, save_plot
 
 __all__ = ["plot_errors"]
 
 
-def plot_errors(trials: Sequence[Trial], path: str | Path) -> Path:
+def plot_errors(trials: Sequence[ModelTest], path: str | Path) -> Path:
     """Plot the position error against the horizon, random driving on the left, on-policy driving on the right.
 
     Lines are medians over all windows and seeds. Areas reach up to the 95 % quantile.

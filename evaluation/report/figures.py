@@ -19,7 +19,7 @@ from PIL import Image
 from dynamics.roads.straight import Road
 from dynamics.state import FloatArray, RoadState
 from evaluation.report import decision_scenes as scenes
-from evaluation.report.decision_scenes import CONFIG, LENGTH, WIDTH, Duty
+from evaluation.report.decision_scenes import CONFIG, LENGTH, WIDTH, Obligation
 from evaluation.report.draw import AREA, GREEN, ORANGE, RED
 
 __all__ = ["FIGURES", "write_figures"]
@@ -38,7 +38,12 @@ _EGO, _OTHERS, _ANSWER, _FAILS = _hex(GREEN), _hex(AREA), _hex(ORANGE), _hex(RED
 _OWES, _INK, _PALE, _ROAD = "#2b7bba", "#1e2228", "#6e747d", "#eeeeec"
 
 
-_DUTIES = {Duty.DISTANCE: _OWES, Duty.NOT_YET: "#a0522d", Duty.ENTERS: _ANSWER, Duty.NOTHING: _OTHERS}
+_OBLIGATIONS = {
+    Obligation.DISTANCE: _OWES,
+    Obligation.NOT_YET: "#a0522d",
+    Obligation.ENTERS: _ANSWER,
+    Obligation.NOTHING: _OTHERS,
+}
 
 
 def write_figures(folder: Path) -> list[Path]:
@@ -187,8 +192,8 @@ def _occupancy() -> Figure:
     return figure
 
 
-def _duties() -> Figure:
-    found = scenes.duties()
+def _obligations() -> Figure:
+    found = scenes.obligation_scene()
     figure, ((axes,),) = _figure(2.1, [1.0])
     low, high = -54.0, 72.0
     _top_view(axes, found.scene.road, low, high)
@@ -199,23 +204,25 @@ def _duties() -> Figure:
     _buffered(axes, found.scene.ego_road, fill=False, ec=_EGO, lw=1.2, zorder=2)
     _body(axes, found.scene.ego_road, _EGO, "ego")
     for state, duty, separation in zip(found.scene.others_road, found.owes, found.separations, strict=True):
-        _body(axes, state, _DUTIES[duty])
+        _body(axes, state, _OBLIGATIONS[duty])
         text = "out of reach" if np.isposinf(separation) else f"{separation:.1f} m"
-        text = "does not count" if duty is Duty.DISTANCE else text
-        side = -1 if duty is Duty.ENTERS else 1
+        text = "does not count" if duty is Obligation.DISTANCE else text
+        side = -1 if duty is Obligation.ENTERS else 1
         aligned = {"ha": "right" if side < 0 else "left", "va": "center"}
         axes.text(state[0] + side * 3.3, state[1], text, fontsize=8, zorder=4, **aligned)
-        if duty is Duty.ENTERS:
-            arrow = {"arrowstyle": "->", "color": _DUTIES[duty], "lw": 1.6, "connectionstyle": "arc3,rad=0.25"}
+        if duty is Obligation.ENTERS:
+            arrow = {"arrowstyle": "->", "color": _OBLIGATIONS[duty], "lw": 1.6, "connectionstyle": "arc3,rad=0.25"}
             axes.annotate("", (state[0] + 11.0, center), (state[0] + 2.5, state[1]), arrowprops=arrow, zorder=2)
     axes.set_xlabel("along the road [m]", fontsize=8)
-    patches = [Rectangle((0, 0), 1, 1, fc=color, ec=_INK, lw=0.7, label=duty.value) for duty, color in _DUTIES.items()]
+    patches = [
+        Rectangle((0, 0), 1, 1, fc=color, ec=_INK, lw=0.7, label=duty.value) for duty, color in _OBLIGATIONS.items()
+    ]
     figure.legend(handles=patches, loc="outside lower center", ncols=2, fontsize=8, frameon=False)
     return figure
 
 
-def _slip_in() -> Figure:
-    found = scenes.slip_in()
+def _cut_in() -> Figure:
+    found = scenes.cut_in_scene()
     figure, ((top,), (below,)) = _figure(3.9, [1.0, 2.2])
     _top_view(top, found.shown.road, -16.0, 36.0)
     car, leader = found.shown.others_road
@@ -244,7 +251,7 @@ def _slip_in() -> Figure:
 
 
 def _search() -> Figure:
-    found = scenes.searched()
+    found = scenes.input_search()
     figure, ((axes,),) = _figure(4.2, [1.0])
     verified = (found.margins >= 0).astype(float)
     axes.contourf(found.wheels, found.accelerations, verified, [0.5, 1.5], colors=[_EGO], alpha=0.25)
@@ -266,8 +273,8 @@ def _search() -> Figure:
 FIGURES: dict[str, Callable[[], Figure]] = {
     "tube": _tube,
     "occupancy": _occupancy,
-    "duties": _duties,
-    "slip-in": _slip_in,
+    "duties": _obligations,
+    "slip-in": _cut_in,
     "search": _search,
 }
 """Functions that draw the figures, by name."""

@@ -14,13 +14,13 @@ from PIL import Image
 from dynamics.errors import SceneError
 from dynamics.state import FloatArray
 from evaluation.measuring.recorder import read_road
-from evaluation.report.draw import Shot, World, draw, without_decision
+from evaluation.report.draw import Shot, WorldFrame, draw, without_decision
 from evaluation.report.proposal import action_labels, ego_copy, proposed_path
 from evaluation.report.reachable_areas import ReachableAreas
 from shield import Shield, ShieldedEnv
 from shield.decision import Decision
 from shield.errors import ConfigError
-from shield.filters.network import RoadDoor
+from shield.filters.network import NetworkFilter
 
 __all__ = ["ShieldOverlay"]
 
@@ -107,8 +107,8 @@ class ShieldOverlay(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         if self._ego is None or decision is None:
             return None
         base, simulated, filters = self._base, self._shield.config.simulates, _filters(self._shield)
-        in_world = simulated or isinstance(filters, RoadDoor)
-        road = World() if in_world else read_road(base.road.network)
+        in_world = simulated or isinstance(filters, NetworkFilter)
+        road = WorldFrame() if in_world else read_road(base.road.network)
         if road is None:
             raise SceneError("this road cannot be drawn on; have single roads of parallel lanes, straight or curved")
         surface, ego, dt = base.viewer.sim_surface, base.vehicle, 1.0 / base.config["simulation_frequency"]

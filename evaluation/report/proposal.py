@@ -10,7 +10,7 @@ import numpy as np
 
 from dynamics.roads.straight import Road
 from dynamics.state import FloatArray
-from evaluation.report.draw import World
+from evaluation.report.draw import WorldFrame
 
 __all__ = ["action_labels", "ego_copy", "proposed_path"]
 
@@ -25,7 +25,7 @@ def ego_copy(base: Any) -> Any:
     return ego
 
 
-def proposed_path(base: Any, ego: Any, action: Any, road: Road | World) -> FloatArray | None:
+def proposed_path(base: Any, ego: Any, action: Any, road: Road | WorldFrame) -> FloatArray | None:
     """Road states of a copied ego under an action, until the next decision, (frames + 1, 4).
 
     Parameters

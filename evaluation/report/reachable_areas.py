@@ -9,10 +9,10 @@ import numpy as np
 from dynamics.road_networks.geometry.road_geometry import RoadGeometry
 from dynamics.state import FloatArray
 from evaluation.report.draw import AHEAD
-from shield.certificate.network.workspace import Foreseen
-from shield.filters.network import RoadDoor
+from shield.certificate.network.workspace import NetworkPrediction
+from shield.filters.network import NetworkFilter
 
-__all__ = ["ReachableAreas", "strip_outline"]
+__all__ = ["ReachableAreas", "interval_outline"]
 
 _LEAST = 0.1
 """Least length of a piece of lane that is drawn [m]."""
@@ -35,10 +35,10 @@ class ReachableAreas:
 
         Parameters
         ----------
-        filters : the filter, such as `ShieldedEnv.door`. The result is empty if it is no `RoadDoor`, or could not read
-            its scene.
+        filters : the filter, such as `ShieldedEnv.door`. The result is empty if it is no `NetworkFilter`, or could not
+            read its scene.
         """
-        if not isinstance(filters, RoadDoor) or filters.cause:
+        if not isinstance(filters, NetworkFilter) or filters.cause:
             return ()
         if self._base.road.network is not self._network:
             self._network, self._geometry = self._base.road.network, RoadGeometry.of(self._base)
@@ -48,13 +48,15 @@ class ReachableAreas:
             tuple(
                 outline
                 for j in range(len(foreseen.lanes))
-                if (outline := strip_outline(self._geometry, foreseen, j, frame, frame)) is not None
+                if (outline := interval_outline(self._geometry, foreseen, j, frame, frame)) is not None
             )
             for frame in (min(round(ahead / dt), frames - 1) for ahead in AHEAD)
         )
 
 
-def strip_outline(geometry: RoadGeometry, foreseen: Foreseen, j: int, first: int, last: int) -> FloatArray | None:
+def interval_outline(
+    geometry: RoadGeometry, foreseen: NetworkPrediction, j: int, first: int, last: int
+) -> FloatArray | None:
     """Outline of a reachable lane interval, with the vehicle's body.
 
     Parameters

@@ -16,13 +16,13 @@ from evaluation.measuring.rectangles import polygons
 from evaluation.names import FIRST_EVALUATION_SEED
 from evaluation.report.plots import picture_path, save_plot
 from evaluation.report.proposal import ego_copy
-from evaluation.report.reachable_areas import strip_outline
+from evaluation.report.reachable_areas import interval_outline
 from evaluation.settings import setting_of
 from shield import ShieldConfig, ShieldedEnv
-from shield.certificate.network.workspace import Foreseen
+from shield.certificate.network.workspace import NetworkPrediction
 from shield.decision import Decision
 from shield.errors import ConfigError
-from shield.filters.network import RoadDoor
+from shield.filters.network import NetworkFilter
 
 __all__ = ["VIEWED", "draw_worst_cases"]
 
@@ -38,9 +38,9 @@ _WINDOW, _AROUND = (50.0, 29.0), 12.0
 """Least half extents of the picture along x and y, and margin around the path [m]."""
 _TIMES = 1.0, 2.0
 """Times ahead at which reachable areas are drawn [s]."""
-_WISH = 4.0
+_FREE_PATH_TIME = 4.0
 """Duration of the ego's path without other vehicles [s]."""
-_WISHED = "#e0b000"
+_FREE_PATH_COLOR = "#e0b000"
 _LANES, _MAY, _WAITS, _MEETS, _PATH = "#9aa09a", "#8a4fd3", "#2ca02c", "#d62728", "#ff7f0e"
 
 
@@ -61,7 +61,7 @@ class _View(NamedTuple):
 
     env_id: str
     decision: Decision
-    foreseen: Foreseen
+    foreseen: NetworkPrediction
     geometry: RoadGeometry
     ego: FloatArray
     wish: FloatArray
@@ -144,7 +144,7 @@ def _find(env_id: str, config: ShieldConfig, seed: int) -> _View:
     """
     env: Any = ShieldedEnv(setting_of(env_id).make(), config)
     base: Any = env.unwrapped
-    if not isinstance(env.door, RoadDoor):
+    if not isinstance(env.door, NetworkFilter):
         raise ConfigError(f"the worst case is drawn on networks of roads with meta-actions, not of {env_id}; {_HAVE}")
     best: tuple[tuple[bool, int, bool], _View] | None = None
     for each in range(seed, seed + _EPISODES):
@@ -152,7 +152,7 @@ def _find(env_id: str, config: ShieldConfig, seed: int) -> _View:
         done = False
         while not done:
             actions = base.action_type.actions_indexes
-            door = RoadDoor(base, config)
+            door = NetworkFilter(base, config)
             decision = door.decide(actions[_ACTION])
             # An unverified decision has no reachable lane intervals.
             if decision.tier.verified:
@@ -168,12 +168,12 @@ def _find(env_id: str, config: ShieldConfig, seed: int) -> _View:
     return best[1]
 
 
-def _view(env_id: str, base: Any, decision: Decision, foreseen: Foreseen) -> _View:
+def _view(env_id: str, base: Any, decision: Decision, foreseen: NetworkPrediction) -> _View:
     v, dt = base.vehicle, 1 / base.config["simulation_frequency"]
     ego = np.array([*v.position, v.heading, v.speed, v.LENGTH, v.WIDTH, 0.0])
     alone = ego_copy(base)
     wish = [alone.position.copy()]
-    for _ in range(round(_WISH / dt)):
+    for _ in range(round(_FREE_PATH_TIME / dt)):
         alone.act()
         alone.step(dt)
         wish.append(alone.position.copy())
@@ -200,7 +200,7 @@ def _meetings(view: _View) -> list[tuple[int, Any]]:
 
 def _area(view: _View, j: int, first: int, last: int) -> Any:
     """Polygon of the reachable interval `j` from frame `first` to `last`; None if it has no place on its lane."""
-    outline = strip_outline(view.geometry, view.foreseen, j, first, last)
+    outline = interval_outline(view.geometry, view.foreseen, j, first, last)
     if outline is None:
         return None
     area = shapely.Polygon(outline)
@@ -221,7 +221,7 @@ def _draw(axis: Any, view: _View) -> None:
     for i, row in enumerate(foreseen.rows):
         _body(axis, row, "#4878d0" if i in met else "#8fb3e8")
     _body(axis, ego, "#32c800")
-    axis.plot(view.wish[:, 0], view.wish[:, 1], "--", color=_WISHED, linewidth=1.5, zorder=5)
+    axis.plot(view.wish[:, 0], view.wish[:, 1], "--", color=_FREE_PATH_COLOR, linewidth=1.5, zorder=5)
     axis.plot(foreseen.path[:, 0], foreseen.path[:, 1], color=_PATH, linewidth=2, zorder=5)
     axis.plot(*foreseen.path[-1, :2], "s", color=_PATH, markersize=5, zorder=5)
     shown = np.vstack([ego[None, :2], foreseen.path[:, :2], view.wish])

@@ -15,14 +15,14 @@ from evaluation.reproduction.variants import get_variants
 from evaluation.reproduction.verdict import Verdict, judge
 from evaluation.reproduction.writing import write
 
-__all__ = ["QUICK", "Reproduced", "reproduce"]
+__all__ = ["QUICK", "ReproductionResult", "reproduce"]
 
 QUICK = {"seeds": 2, "episodes": 60, "pooled": 3, "steps": 2_048}
 """Counts of a run of about a minute."""
 
 
 @dataclass(frozen=True)
-class Reproduced:
+class ReproductionResult:
     """Result of the report's experiments.
 
     Attributes
@@ -53,7 +53,7 @@ def reproduce(
     tell: Callable[[str], None] | None = None,
     road: str = "highway",
     **counts: int,
-) -> Reproduced:
+) -> ReproductionResult:
     """Train and drive the report's and this project's variants, beside the published numbers.
 
     Finished parts in `out` are reused.
@@ -78,4 +78,4 @@ def reproduce(
     asked = Reproduction(chosen, tuple(get_variants(list(variants), road)), **{"steps": chosen.steps, **counts})
     folder = Path("runs", "reproduce", f"{road}-{preset}") if out is None else Path(out)
     episodes = run(asked, folder, jobs, tell)
-    return Reproduced(episodes, summary(episodes), judge(episodes), write(episodes, asked, folder), folder)
+    return ReproductionResult(episodes, summary(episodes), judge(episodes), write(episodes, asked, folder), folder)

@@ -12,21 +12,21 @@ from numpy.typing import NDArray
 from dynamics.state import BoolArray, FloatArray, IntArray
 from evaluation.reproduction import script, text
 from evaluation.reproduction.presets import Preset
-from evaluation.reproduction.variants import Variant
+from evaluation.reproduction.variants import ReportVariant
 from evaluation.settings import Setting, get_setting
-from shield.batch.arrays import Records
+from shield.batch.arrays import BatchRecords
 from shield.batch.codes import OVERRIDES
 from shield.certificate.simulated.batch_choice import batch_for
 from shield.config import ShieldConfig
 
-__all__ = ["NOISE_STREAM", "ReportBatch", "Shown", "setting_for", "shield_for"]
+__all__ = ["NOISE_STREAM", "ObservationChannels", "ReportBatch", "setting_for", "shield_for"]
 
 NOISE_STREAM = 49
 """Second seed of the noise, so that it is independent of the traffic's random numbers."""
 _STATE = 4
 
 
-def setting_for(preset: Preset, variant: Variant) -> Setting:
+def setting_for(preset: Preset, variant: ReportVariant) -> Setting:
     """The environment of a variant."""
     if variant.default_road:
         return get_setting("roundabout")
@@ -35,7 +35,7 @@ def setting_for(preset: Preset, variant: Variant) -> Setting:
     return preset.setting.override({"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 15, 30]}})
 
 
-def shield_for(variant: Variant, road: str = "highway") -> ShieldConfig:
+def shield_for(variant: ReportVariant, road: str = "highway") -> ShieldConfig:
     """The shield's settings of a variant on a road, "highway" or "roundabout".
 
     They are the defaults of `ShieldedEnv` there, those of a `Shield` with `frames=False` that reads the simulator's
@@ -46,14 +46,14 @@ def shield_for(variant: Variant, road: str = "highway") -> ShieldConfig:
     return ShieldConfig() if variant.shield == "env" and road == "highway" else ShieldConfig.simulated_traffic()
 
 
-def _overridden(records: Records) -> BoolArray:
+def _overridden(records: BatchRecords) -> BoolArray:
     """Environments in which a decision or one of its frames was overridden, (e,)."""
     other = OVERRIDES[records.tier] & (records.executed != records.proposed)
     overridden: BoolArray = other | OVERRIDES[records.tiers].any(axis=1)
     return overridden
 
 
-class Shown:
+class ObservationChannels:
     """Observations as the policy receives them: with noise, and with columns of confidence and intent, in that order.
 
     Parameters
@@ -62,7 +62,7 @@ class Shown:
     envs, rows, decisions : number of environments, of rows of an observation, and largest number of decisions.
     """
 
-    def __init__(self, preset: Preset, variant: Variant, envs: int, rows: int, decisions: int) -> None:
+    def __init__(self, preset: Preset, variant: ReportVariant, envs: int, rows: int, decisions: int) -> None:
         self._preset, self._variant = preset, variant
         self._draws: FloatArray = np.zeros((envs, decisions + 1, rows, _STATE))
         self._over_time = text.ConfidenceOverTime(envs, rows)
@@ -122,12 +122,12 @@ class ReportBatch:
     overridden : environments in which the shield overrode the last action, (e,).
     """
 
-    def __init__(self, preset: Preset, variant: Variant, num_envs: int) -> None:
+    def __init__(self, preset: Preset, variant: ReportVariant, num_envs: int) -> None:
         self.preset, self.variant = preset, variant
         setting, config = setting_for(preset, variant), shield_for(variant, preset.road)
         self.highways: Any = batch_for(setting.env_id, config)(setting.env_id, num_envs, setting.configured, config)
         observed: Any = self.highways.simulator.scenario.observation_space
-        self._sensor = Shown(preset, variant, num_envs, observed.shape[0], self.highways.steps)
+        self._sensor = ObservationChannels(preset, variant, num_envs, observed.shape[0], self.highways.steps)
         self.steps: IntArray = np.zeros(num_envs, np.intp)
         self.replaced: BoolArray = np.zeros(num_envs, np.bool_)
         self.overridden: BoolArray = np.zeros(num_envs, np.bool_)

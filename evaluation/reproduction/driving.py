@@ -15,7 +15,7 @@ from evaluation.reproduction.batch import ReportBatch
 from evaluation.reproduction.presets import Preset
 from evaluation.reproduction.script import counts_as_lane_change
 from evaluation.reproduction.skilled import SkillRun
-from evaluation.reproduction.variants import Variant
+from evaluation.reproduction.variants import ReportVariant
 from evaluation.threads import one_thread
 
 __all__ = ["COLUMNS", "drive_many"]
@@ -103,7 +103,7 @@ class _Driver:
 
 
 def drive_many(
-    preset: Preset, variant: Variant, model: _Policy | None, seeds: Sequence[int], envs: int = _ENVS
+    preset: Preset, variant: ReportVariant, model: _Policy | None, seeds: Sequence[int], envs: int = _ENVS
 ) -> pd.DataFrame:
     """Drive an episode for each seed; the result does not depend on the size of the batch.
 

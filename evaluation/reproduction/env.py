@@ -12,7 +12,7 @@ from evaluation.names import FIRST_EVALUATION_SEED
 from evaluation.reproduction.batch import ReportBatch
 from evaluation.reproduction.presets import Preset
 from evaluation.reproduction.skilled import SkillRun
-from evaluation.reproduction.variants import Variant
+from evaluation.reproduction.variants import ReportVariant
 from evaluation.wrappers.override_penalty import less_overrides
 
 __all__ = ["ReportEnv"]
@@ -39,7 +39,7 @@ class ReportEnv(gym.Env[Any, Any]):
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
 
-    def __init__(self, preset: Preset, variant: Variant) -> None:
+    def __init__(self, preset: Preset, variant: ReportVariant) -> None:
         self._batch, self._penalty = ReportBatch(preset, variant, 1), variant.penalty
         self._semi_markov = variant.skills and not variant.report_skills
         self._gamma, self._planned = preset.gamma, max(map(len, preset.skills.values()))

@@ -16,7 +16,7 @@ from evaluation.learning.algorithms import get_algorithm
 from evaluation.learning.manifests import manifest_path
 from evaluation.reproduction.env import ReportEnv
 from evaluation.reproduction.presets import Preset
-from evaluation.reproduction.variants import Variant
+from evaluation.reproduction.variants import ReportVariant
 from evaluation.running.identity import file_hash, versions
 from evaluation.threads import one_thread
 from evaluation.training.counting import CountSteps
@@ -24,7 +24,7 @@ from evaluation.training.counting import CountSteps
 __all__ = ["hyperparameters", "is_trained", "train_variant"]
 
 
-def hyperparameters(preset: Preset, variant: Variant) -> dict[str, Any]:
+def hyperparameters(preset: Preset, variant: ReportVariant) -> dict[str, Any]:
     """Keyword arguments of a variant's algorithm.
 
     PPO and MaskablePPO have the preset's. DQN has those of highway-env's own example, and TRPO those of sb3-contrib,
@@ -57,7 +57,7 @@ def is_trained(path: Path) -> bool:
     return bool(told.get("sha256") == file_hash(path))
 
 
-def train_variant(preset: Preset, variant: Variant, seed: int, steps: int, path: Path) -> dict[str, Any]:
+def train_variant(preset: Preset, variant: ReportVariant, seed: int, steps: int, path: Path) -> dict[str, Any]:
     """Train one model, and write it and its manifest.
 
     Parameters

@@ -15,9 +15,9 @@ from evaluation.reproduction.driving import COLUMNS
 from evaluation.reproduction.presets import Preset
 from evaluation.reproduction.script import confidence_across_features, counts_as_lane_change, noise_on_all_rows
 from evaluation.reproduction.text import ConfidenceOverTime
-from evaluation.reproduction.variants import Variant
+from evaluation.reproduction.variants import ReportVariant
 from evaluation.running.episodes import run_paired
-from evaluation.running.records import Variant as Driven
+from evaluation.running.records import ShieldVariant as Driven
 from evaluation.threads import one_thread
 from evaluation.wrappers.sensor_noise import SensorNoise, get_sensor
 from evaluation.wrappers.skills import Skills, overridden
@@ -28,8 +28,9 @@ __all__ = ["drive_one_by_one"]
 _SLOWER = 4
 
 
-class _Seeing:
-    """A model with the observations of `evaluation.reproduction.batch.Shown`, for a sensor with noise on others alone.
+class _NoisyModel:
+    """A model with the observations of `evaluation.reproduction.batch.ObservationChannels`, for a sensor with noise on
+    others alone.
 
     The noise of the ego's row and of absent rows, and the confidence, are added for the model. The shield reads the
     sensor's observations, because the ego measures its own state.
@@ -68,7 +69,7 @@ class _Seeing:
         return action, state
 
 
-def drive_one_by_one(preset: Preset, variant: Variant, model: Any, seeds: Sequence[int]) -> pd.DataFrame:
+def drive_one_by_one(preset: Preset, variant: ReportVariant, model: Any, seeds: Sequence[int]) -> pd.DataFrame:
     """Drive an episode for each seed, one at a time.
 
     Parameters
@@ -93,8 +94,8 @@ def _planned(preset: Preset, seeds: Sequence[int]) -> pd.DataFrame:
     return found.assign(decisions=found["steps"], **dict.fromkeys(unknown, np.nan))
 
 
-def _observed(preset: Preset, variant: Variant, model: Any, seeds: Sequence[int]) -> pd.DataFrame:
-    setting, policy = setting_for(preset, variant), _Seeing(preset, model)
+def _observed(preset: Preset, variant: ReportVariant, model: Any, seeds: Sequence[int]) -> pd.DataFrame:
+    setting, policy = setting_for(preset, variant), _NoisyModel(preset, model)
     base = CompiledHighwayEnv(setting.env_id, setting.configured)
     env: Any = SensorNoise(base, get_sensor(f"normalised-{preset.sigma:g}"))
     shield, driver = None, policy

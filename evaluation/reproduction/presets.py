@@ -18,14 +18,14 @@ __all__ = [
     "PUBLISHED_ROUNDABOUT",
     "ROUNDABOUT_PRESETS",
     "Preset",
-    "Published",
+    "PublishedFigures",
     "get_preset",
     "published_for",
 ]
 
 
 @dataclass(frozen=True)
-class Published:
+class PublishedFigures:
     """A row of the report's table.
 
     Attributes
@@ -206,31 +206,31 @@ ROUNDABOUT_PRESETS: Mapping[str, Preset] = MappingProxyType(
 )
 """Presets of the roundabout, by name."""
 
-PUBLISHED: Mapping[str, Published] = MappingProxyType(
+PUBLISHED: Mapping[str, PublishedFigures] = MappingProxyType(
     {
-        "ppo": Published("PPO", 21.54, 0.72, 0.00),
-        "noise": Published("noise", 16.97, 7.68, 0.30, 0.736),
-        "noise-intent": Published("noise + intent", 20.79, 2.79, 0.20),
-        "noise-override": Published("+ safety", 8.78, 6.39, 0.90, 0.737),
-        "noise-override-skills": Published("+ safety + skills", 21.28, 0.90, 0.00, 0.731),
+        "ppo": PublishedFigures("PPO", 21.54, 0.72, 0.00),
+        "noise": PublishedFigures("noise", 16.97, 7.68, 0.30, 0.736),
+        "noise-intent": PublishedFigures("noise + intent", 20.79, 2.79, 0.20),
+        "noise-override": PublishedFigures("+ safety", 8.78, 6.39, 0.90, 0.737),
+        "noise-override-skills": PublishedFigures("+ safety + skills", 21.28, 0.90, 0.00, 0.731),
     }
 )
 """Rows of the report's table of the highway, by variant (see `evaluation.reproduction.variants`)."""
 
-PUBLISHED_ROUNDABOUT: Mapping[str, Published] = MappingProxyType(
+PUBLISHED_ROUNDABOUT: Mapping[str, PublishedFigures] = MappingProxyType(
     {
-        "provided-baseline": Published("provided baseline", 9.17, None, 0.00),
-        "ppo": Published("PPO", 16.88, 9.78, 0.30),
-        "noise": Published("noise", 11.43, 9.79, 0.40, 0.806),
-        "noise-intent": Published("noise + intent", 20.46, 7.00, 0.10),
-        "noise-override": Published("+ safety", 7.28, 9.14, 0.50, 0.816),
-        "noise-override-skills": Published("+ safety + skills", 8.45, 9.53, 0.50, 0.007),
+        "provided-baseline": PublishedFigures("provided baseline", 9.17, None, 0.00),
+        "ppo": PublishedFigures("PPO", 16.88, 9.78, 0.30),
+        "noise": PublishedFigures("noise", 11.43, 9.79, 0.40, 0.806),
+        "noise-intent": PublishedFigures("noise + intent", 20.46, 7.00, 0.10),
+        "noise-override": PublishedFigures("+ safety", 7.28, 9.14, 0.50, 0.816),
+        "noise-override-skills": PublishedFigures("+ safety + skills", 8.45, 9.53, 0.50, 0.007),
     }
 )
 """Rows of its table of the roundabout; the first row has no deviation."""
 
 
-def published_for(preset: str) -> Mapping[str, Published]:
+def published_for(preset: str) -> Mapping[str, PublishedFigures]:
     """The published rows for a preset, by its `Preset.name`."""
     return PUBLISHED_ROUNDABOUT if preset.startswith("roundabout") else PUBLISHED
 

@@ -23,7 +23,7 @@ from evaluation.reproduction.driving import drive_many
 from evaluation.reproduction.learning import hyperparameters, is_trained, train_variant
 from evaluation.reproduction.live import drive_one_by_one
 from evaluation.reproduction.presets import Preset
-from evaluation.reproduction.variants import Variant
+from evaluation.reproduction.variants import ReportVariant
 from evaluation.running.highway_planner import highway_policy
 from evaluation.running.identity import differences, file_hash, versions
 from evaluation.running.manifest import commit, provenance
@@ -32,7 +32,7 @@ from evaluation.running.processes import in_processes
 from evaluation.running.roundabout_planner import roundabout_policy
 from shield.errors import ConfigError
 
-__all__ = ["FIRST_SEED", "Reproduction", "first_seed", "run", "why_not"]
+__all__ = ["FIRST_SEED", "Reproduction", "first_seed", "run", "unsupported_reason"]
 
 FIRST_SEED = 970_000
 """Seed of the first episode of the first training seed on the highway."""
@@ -61,7 +61,7 @@ class Reproduction:
     """
 
     preset: Preset
-    variants: tuple[Variant, ...]
+    variants: tuple[ReportVariant, ...]
     seeds: int = 10
     episodes: int = 1_000
     pooled: int = 30
@@ -77,20 +77,20 @@ class Reproduction:
                 f"episodes are at most {most:,} for each training seed, not {max(self.episodes, self.pooled):,}"
             )
 
-    def scenes(self, variant: Variant, seed: int) -> range:
+    def scenes(self, variant: ReportVariant, seed: int) -> range:
         """Seeds of the episodes of a training seed, the same for all variants."""
         first, stride = _SEEDS[self.preset.road]
         first += stride * seed
         return range(first, first + (self.pooled if self.takes_long(variant) else self.episodes))
 
-    def takes_long(self, variant: Variant) -> bool:
+    def takes_long(self, variant: ReportVariant) -> bool:
         """Whether a variant is slow and has `pooled` episodes.
 
         Such a variant is driven one episode at a time, or with a shield that simulates the traffic on the roundabout.
         """
         return variant.pooled or (bool(variant.shield) and self.preset.road == "roundabout")
 
-    def told(self, variant: Variant) -> dict[str, Any]:
+    def told(self, variant: ReportVariant) -> dict[str, Any]:
         """The values that determine the rows of a variant, as plain values."""
         told: dict[str, Any] = {"preset": self.preset.told(), "variant": variant.told()}
         if variant.learner and variant.learner != "cem":
@@ -99,7 +99,7 @@ class Reproduction:
         return plain
 
 
-def why_not(preset: Preset, variant: Variant) -> str:
+def unsupported_reason(preset: Preset, variant: ReportVariant) -> str:
     """The reason why a variant is unsupported here; "" if it is supported."""
     try:
         on_highway = preset.road == "highway"
@@ -148,7 +148,9 @@ def run(
             raise ConfigError(f"{folder} cannot be written: {error.strerror}") from None
     _adopt(folder)
     commit()  # cached now, so that it is the commit of the imported source
-    left_out = {each.name: reason for each in experiment.variants if (reason := why_not(experiment.preset, each))}
+    left_out = {
+        each.name: reason for each in experiment.variants if (reason := unsupported_reason(experiment.preset, each))
+    }
     variants = [each for each in experiment.variants if each.name not in left_out and each.model not in left_out]
     for variant in variants:
         for seed in range(experiment.seeds):
@@ -169,7 +171,7 @@ def run(
 
 def _seed(
     experiment: Reproduction,
-    variants: Sequence[Variant],
+    variants: Sequence[ReportVariant],
     seed: int,
     folder: Path,
     tell: Callable[[str], None] | None,
@@ -190,7 +192,7 @@ def _adopt(folder: Path) -> None:
             record.unlink()
 
 
-def _names(variant: Variant, seed: int, folder: Path) -> tuple[Path, str]:
+def _names(variant: ReportVariant, seed: int, folder: Path) -> tuple[Path, str]:
     """Path of the model, and name of the part."""
     return folder / "models" / f"{variant.model or variant.name}-{seed}.zip", f"{variant.name}-{seed}"
 
@@ -211,7 +213,7 @@ def _by_phase(began: float, trained: float, driven: float) -> dict[str, float]:
     return dict(zip(_PHASES, (round(trained - began, 2), round(driven - trained, 2)), strict=True))
 
 
-def _check(experiment: Reproduction, variant: Variant, seed: int, folder: Path) -> None:
+def _check(experiment: Reproduction, variant: ReportVariant, seed: int, folder: Path) -> None:
     """Check that existing rows have the same specification, versions and model; raises `ConfigError` otherwise."""
     model, part = _names(variant, seed, folder)
     before = Parts(folder).record(part)
@@ -229,7 +231,7 @@ def _check(experiment: Reproduction, variant: Variant, seed: int, folder: Path) 
 
 
 def _part(
-    experiment: Reproduction, variant: Variant, seed: int, folder: Path, tell: Callable[[str], None] | None
+    experiment: Reproduction, variant: ReportVariant, seed: int, folder: Path, tell: Callable[[str], None] | None
 ) -> pd.DataFrame:
     """The rows of one part; missing ones are made, existing ones are read."""
     path, part = _names(variant, seed, folder)
@@ -286,7 +288,7 @@ def _processor_time(records: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _write_manifest(
-    experiment: Reproduction, variants: Sequence[Variant], left_out: dict[str, str], folder: Path, seconds: float
+    experiment: Reproduction, variants: Sequence[ReportVariant], left_out: dict[str, str], folder: Path, seconds: float
 ) -> None:
     """Write the manifest of the whole experiment, with the hash of each model file."""
     parts = Parts(folder)

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any, cast
 
 from evaluation.reproduction.presets import get_preset
-from evaluation.running.records import Variant, config_on
+from evaluation.running.records import ShieldVariant, config_on
 from evaluation.settings import Setting, get_setting
 from shield.config import RULES_ALONE, SIMULATED, WORST_CASE, ShieldConfig
 from shield.errors import ConfigError
@@ -18,7 +18,7 @@ __all__ = [
     "MOST",
     "ROADS",
     "SHIELDS",
-    "Road",
+    "ShieldTableRoad",
     "driven_on",
     "rows_of",
     "variant_on",
@@ -26,7 +26,7 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class Road:
+class ShieldTableRoad:
     """A road and the bundled model that drives it.
 
     Attributes
@@ -42,17 +42,17 @@ class Road:
     baselines: bool = True
 
 
-ROADS: Mapping[str, Road] = MappingProxyType(
+ROADS: Mapping[str, ShieldTableRoad] = MappingProxyType(
     {
         each.name: each
         for each in (
-            Road("highway-fast", get_setting("highway-fast"), "ppo-highway-fast"),
-            Road("abz", get_setting("abz-idm"), "dqn-abz-base"),
-            Road("abz-adversarial", get_setting("abz-idm"), "dqn-abz-adversarial", baselines=False),
-            Road("merge", get_setting("merge"), "ppo-merge"),
-            Road("roundabout", get_setting("roundabout"), "ppo-roundabout"),
-            Road("intersection", get_setting("intersection"), "ppo-intersection"),
-            Road("racetrack", get_setting("racetrack"), "ppo-racetrack"),
+            ShieldTableRoad("highway-fast", get_setting("highway-fast"), "ppo-highway-fast"),
+            ShieldTableRoad("abz", get_setting("abz-idm"), "dqn-abz-base"),
+            ShieldTableRoad("abz-adversarial", get_setting("abz-idm"), "dqn-abz-adversarial", baselines=False),
+            ShieldTableRoad("merge", get_setting("merge"), "ppo-merge"),
+            ShieldTableRoad("roundabout", get_setting("roundabout"), "ppo-roundabout"),
+            ShieldTableRoad("intersection", get_setting("intersection"), "ppo-intersection"),
+            ShieldTableRoad("racetrack", get_setting("racetrack"), "ppo-racetrack"),
         )
     }
 )
@@ -97,7 +97,7 @@ MOST: Mapping[tuple[str, str], int] = MappingProxyType(
 """Largest number of episodes, by road and row, if an episode takes 0.2 to 20 CPU seconds."""
 
 
-def variant_on(road: Road, shield: str) -> Variant:
+def variant_on(road: ShieldTableRoad, shield: str) -> ShieldVariant:
     """The variant of the shield in a row of `SHIELDS` on a road.
 
     Raises
@@ -106,23 +106,23 @@ def variant_on(road: Road, shield: str) -> Variant:
         If the road does not support that shield.
     """
     if shield == "none" or shield in BASELINES:
-        return Variant()
+        return ShieldVariant()
     if shield in RULES_ALONE and road.name in _NETWORKS:
         raise ConfigError("a rule alone reads one road of straight parallel lanes")
     if shield == "distance":
-        return Variant("env", ShieldConfig(mode="distance", distance=get_preset("as-written").distance))
+        return ShieldVariant("env", ShieldConfig(mode="distance", distance=get_preset("as-written").distance))
     if shield == "rss":
-        return Variant("env", ShieldConfig(mode="rss"))
+        return ShieldVariant("env", ShieldConfig(mode="rss"))
     if shield == "ttc-ranking":
         seconds = _TTC_DECISIONS / _configuration(road.setting)["policy_frequency"]
-        return Variant("env", ShieldConfig(mode="ttc-ranking", time_to_collision=seconds))
+        return ShieldVariant("env", ShieldConfig(mode="ttc-ranking", time_to_collision=seconds))
     if shield == "observed":
-        return Variant("env", config_on(road.setting, None, observes=True), "observation")
+        return ShieldVariant("env", config_on(road.setting, None, observes=True), "observation")
     given = {"worst-case": WORST_CASE, "simulated": SIMULATED}[shield]
-    return Variant("env", config_on(road.setting, given), note=shield)
+    return ShieldVariant("env", config_on(road.setting, given), note=shield)
 
 
-def driven_on(road: Road, shield: str) -> tuple[Setting, str]:
+def driven_on(road: ShieldTableRoad, shield: str) -> tuple[Setting, str]:
     """The environment and the policy of a row of `SHIELDS`.
 
     Raises
@@ -152,6 +152,6 @@ def _configuration(setting: Setting) -> Mapping[str, Any]:
         env.close()
 
 
-def rows_of(road: Road, shields: Iterable[str]) -> list[str]:
+def rows_of(road: ShieldTableRoad, shields: Iterable[str]) -> list[str]:
     """The rows of `shields` that a road has."""
     return [each for each in shields if road.baselines or each not in BASELINES]

@@ -16,12 +16,12 @@ import pandas as pd
 from evaluation.measuring.metrics import summarise
 from evaluation.names import check_name
 from evaluation.report.table import Column, markdown
-from evaluation.reproduction.shields import MOST, ROADS, SHIELDS, Road, driven_on, rows_of, variant_on
+from evaluation.reproduction.shields import MOST, ROADS, SHIELDS, ShieldTableRoad, driven_on, rows_of, variant_on
 from evaluation.running.comparing import Comparison
 from evaluation.running.episodes import RunOptions, run_paired
 from evaluation.running.manifest import SECTIONS
 from evaluation.running.processes import Processes
-from evaluation.running.records import Variant
+from evaluation.running.records import ShieldVariant
 from evaluation.running.store import Store
 from evaluation.settings import Setting
 from shield.errors import ConfigError, SceneError
@@ -107,7 +107,7 @@ class _Part:
     shield: str
     setting: Setting
     policy: str
-    variant: Variant
+    variant: ShieldVariant
     seeds: range
 
     @property
@@ -115,7 +115,9 @@ class _Part:
         return f"{self.road}, {self.shield}"
 
 
-def _parts(roads: Iterable[Road], shields: Iterable[str], episodes: int) -> tuple[list[_Part], dict[str, str]]:
+def _parts(
+    roads: Iterable[ShieldTableRoad], shields: Iterable[str], episodes: int
+) -> tuple[list[_Part], dict[str, str]]:
     """The rows of each road, and for unsupported rows the reason."""
     parts, refused = [], dict[str, str]()
     for road in roads:

@@ -61,4 +61,4 @@ class SkillRun:
         if not batch.variant.report_skills:
             self._progress.stop(batch.overridden)
         elif batch.preset.interrupted:
-            self._progress.stop(text.somebody_near(batch.shown, batch.preset.distance, batch.preset.scale))
+            self._progress.stop(text.vehicle_near(batch.shown, batch.preset.distance, batch.preset.scale))

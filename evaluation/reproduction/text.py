@@ -18,7 +18,7 @@ __all__ = [
     "intent_in_metres",
     "noise_on_others",
     "override_lane_changes",
-    "somebody_near",
+    "vehicle_near",
 ]
 
 _STATE = slice(1, 5)
@@ -133,7 +133,7 @@ def override_lane_changes(
     return np.where(acts, _SLOWER, actions), acts
 
 
-def somebody_near(rows: NDArray[Any], distance: float, scale: Scale = HIGHWAY) -> BoolArray:
+def vehicle_near(rows: NDArray[Any], distance: float, scale: Scale = HIGHWAY) -> BoolArray:
     """Whether a vehicle is shown nearer to the ego than `distance` [m], (...,)."""
     x, y = scale.offsets(rows)
     apart = np.where(rows[..., 1:, 0] > 0, np.hypot(x, y), np.inf)

@@ -9,11 +9,11 @@ from typing import Any
 
 from evaluation.names import check_name
 
-__all__ = ["VARIANTS", "Variant", "get_variants"]
+__all__ = ["VARIANTS", "ReportVariant", "get_variants"]
 
 
 @dataclass(frozen=True, slots=True)
-class Variant:
+class ReportVariant:
     """One row of the table.
 
     Attributes
@@ -74,40 +74,44 @@ _INSIDE: dict[str, Any] = {**_SEEN, "shield": "env"}
 PENALTY = 0.2
 """Override penalty; the reward of a decision is at most 1."""
 
-VARIANTS: Mapping[str, Variant] = MappingProxyType(
+VARIANTS: Mapping[str, ReportVariant] = MappingProxyType(
     {
         each.name: each
         for each in (
-            Variant("slower", "always SLOWER", action=4),
-            Variant("idle", "always IDLE", action=1),
-            Variant("faster", "always FASTER", action=3),
-            Variant("stopped", "a car that stops", action=4, stops=True),
-            Variant("provided-baseline", "a stopped car, default configuration", action=4, default_road=True),
-            Variant("cem", "learned dynamics + CEM", learner="cem"),
-            Variant("ppo", "PPO", learner="ppo"),
-            Variant("noise", "noise", **_SEEN),
-            Variant("noise-intent", "noise + intent", **_SEEN, intent=True),
-            Variant("noise-distance", "noise + distance override", **_SEEN, override="distance"),
-            Variant("noise-override", "noise + confidence-gated override", **_SEEN, override="preset"),
-            Variant("noise-override-skills", "noise + override + skills", **_SEEN, skills=True, report_skills=True),
-            Variant("dqn", "DQN", learner="dqn"),
-            Variant("trpo", "TRPO", learner="trpo"),
-            Variant("shielded-env", "noise + `ShieldedEnv`", **_INSIDE, model="noise"),
-            Variant("shield-actions", "noise + `Shield`, actions alone", **_SEEN, shield="actions", model="noise"),
-            Variant("trained-inside", "trained inside `ShieldedEnv`", **_INSIDE),
-            Variant("trained-inside-penalty", "trained inside, override penalty", **_INSIDE, penalty=PENALTY),
-            Variant(
+            ReportVariant("slower", "always SLOWER", action=4),
+            ReportVariant("idle", "always IDLE", action=1),
+            ReportVariant("faster", "always FASTER", action=3),
+            ReportVariant("stopped", "a car that stops", action=4, stops=True),
+            ReportVariant("provided-baseline", "a stopped car, default configuration", action=4, default_road=True),
+            ReportVariant("cem", "learned dynamics + CEM", learner="cem"),
+            ReportVariant("ppo", "PPO", learner="ppo"),
+            ReportVariant("noise", "noise", **_SEEN),
+            ReportVariant("noise-intent", "noise + intent", **_SEEN, intent=True),
+            ReportVariant("noise-distance", "noise + distance override", **_SEEN, override="distance"),
+            ReportVariant("noise-override", "noise + confidence-gated override", **_SEEN, override="preset"),
+            ReportVariant(
+                "noise-override-skills", "noise + override + skills", **_SEEN, skills=True, report_skills=True
+            ),
+            ReportVariant("dqn", "DQN", learner="dqn"),
+            ReportVariant("trpo", "TRPO", learner="trpo"),
+            ReportVariant("shielded-env", "noise + `ShieldedEnv`", **_INSIDE, model="noise"),
+            ReportVariant(
+                "shield-actions", "noise + `Shield`, actions alone", **_SEEN, shield="actions", model="noise"
+            ),
+            ReportVariant("trained-inside", "trained inside `ShieldedEnv`", **_INSIDE),
+            ReportVariant("trained-inside-penalty", "trained inside, override penalty", **_INSIDE, penalty=PENALTY),
+            ReportVariant(
                 "trained-inside-masks", "trained inside, masks", **{**_INSIDE, "learner": "maskableppo"}, masks=True
             ),
-            Variant("skills-inside", "skills inside the shield, interrupted by it", **_INSIDE, skills=True),
-            Variant(
+            ReportVariant("skills-inside", "skills inside the shield, interrupted by it", **_INSIDE, skills=True),
+            ReportVariant(
                 "shielded-env-observed",
                 "noise + `ShieldedEnv`, observations alone",
                 **_INSIDE,
                 model="noise",
                 observed=True,
             ),
-            Variant(
+            ReportVariant(
                 "shield-observed",
                 "noise + `Shield`, actions and observations alone",
                 **_SEEN,
@@ -115,7 +119,7 @@ VARIANTS: Mapping[str, Variant] = MappingProxyType(
                 model="noise",
                 observed=True,
             ),
-            Variant(
+            ReportVariant(
                 "skills-inside-observed",
                 "skills inside the shield, observations alone",
                 **_INSIDE,
@@ -129,7 +133,7 @@ VARIANTS: Mapping[str, Variant] = MappingProxyType(
 """Variants by name, in the order of the table."""
 
 
-def get_variants(names: Iterable[str] = (), road: str = "highway") -> list[Variant]:
+def get_variants(names: Iterable[str] = (), road: str = "highway") -> list[ReportVariant]:
     """Variants by name, in the order of the table, with the variants of their models.
 
     By default all variants of a road, "highway" or "roundabout".

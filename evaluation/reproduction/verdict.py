@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 
 from evaluation.measuring.statistics import Interval, clopper_pearson, nested_bootstrap
-from evaluation.reproduction.presets import PUBLISHED, Published, published_for
+from evaluation.reproduction.presets import PUBLISHED, PublishedFigures, published_for
 from evaluation.reproduction.table import summary
 from evaluation.reproduction.variants import VARIANTS
 
-__all__ = ["Verdict", "judge", "told"]
+__all__ = ["Verdict", "judge", "verdicts_text"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,7 @@ def judge(episodes: pd.DataFrame) -> list[Verdict]:
     ]
 
 
-def told(verdicts: list[Verdict]) -> str:
+def verdicts_text(verdicts: list[Verdict]) -> str:
     """The verdicts as a list in Markdown."""
     return "\n".join(f"- **{'Holds' if each.holds else 'Does not hold'}**: {each.sentence}" for each in verdicts)
 
@@ -137,7 +137,7 @@ def _without_crash(found: dict[str, dict[str, Any]], names: Iterable[str]) -> It
             yield Verdict(f"{name}-0", "report", crashes == 0, f"{label!r} does not crash: {crashes:,} of {n:,} do.")
 
 
-def _compatible(found: dict[str, dict[str, Any]], published: Mapping[str, Published]) -> Iterator[Verdict]:
+def _compatible(found: dict[str, dict[str, Any]], published: Mapping[str, PublishedFigures]) -> Iterator[Verdict]:
     for name, told in published.items():
         if name not in found:
             continue

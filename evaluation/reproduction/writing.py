@@ -10,7 +10,7 @@ import pandas as pd
 from evaluation.report.table import write_table
 from evaluation.reproduction.running import Reproduction, first_seed
 from evaluation.reproduction.table import summary, table
-from evaluation.reproduction.verdict import judge, told
+from evaluation.reproduction.verdict import judge, verdicts_text
 from evaluation.running.manifest import commit
 
 __all__ = ["write"]
@@ -37,7 +37,7 @@ def write(episodes: pd.DataFrame, experiment: Reproduction, folder: Path) -> str
         table(found),
         *(f"`{name}` is left out: {reason}." for name, reason in left_out.items()),
         "## Claims",
-        told(verdicts),
+        verdicts_text(verdicts),
     ]
     text = "\n\n".join(lines) + "\n"
     (folder / "table.md").write_text(text, encoding="utf-8")

@@ -9,14 +9,14 @@ import numpy as np
 import pandas as pd
 
 from dynamics.state import BoolArray, FloatArray, IntArray
-from evaluation.measuring.side_by_side import SideBySide
+from evaluation.measuring.side_by_side import BatchMeasures
 from evaluation.measuring.tally import SOON, Tallies, begin_tally, empty_tallies, tally
 from evaluation.policies import list_references
 from evaluation.running.decision_log import action_steps
-from evaluation.running.drivers_side_by_side import Blind, Drivers, ModelDrivers, Planned
+from evaluation.running.drivers_side_by_side import BatchDrivers, GivenActions, ModelBatchDrivers, OpenLoopDrivers
 from evaluation.running.episodes import run_episode
-from evaluation.running.named_policies import ConstantPolicy, RandomPolicy, WeavingPolicy, make_policy, policy_label
-from evaluation.running.records import Variant, told, variant_for
+from evaluation.running.named_policies import ConstantPolicy, RandomActions, WeavingPolicy, make_policy, policy_label
+from evaluation.running.records import ShieldVariant, rules_text, variant_for
 from evaluation.settings import Setting
 from evaluation.threads import one_thread
 from shield.batch.codes import FALLBACKS, rules_in
@@ -24,7 +24,7 @@ from shield.certificate.simulated.batch_choice import batch_for
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
 
-__all__ = ["UNMEASURED", "Chosen", "Many"]
+__all__ = ["UNMEASURED", "BatchResult", "Many"]
 
 UNMEASURED = (
     *("acceleration_distance", "steering_distance", "mean_confidence", "latency_p50_ms", "latency_p99_ms"),
@@ -35,11 +35,11 @@ kept, meta-actions have no inputs, and sensors are exact."""
 
 _ENVS = 50
 """Default number of environments in a batch; the parts of `shield certify` are a multiple of it."""
-_NAMED = ("faster", "idle", "slower", "random", "weaving", "left", "right")
+_BATCH_POLICIES = ("faster", "idle", "slower", "random", "weaving", "left", "right")
 """Baseline policies that ignore the observation."""
 
 
-class Chosen(NamedTuple):
+class BatchResult(NamedTuple):
     """Results of a batch of chosen episodes.
 
     Attributes
@@ -77,10 +77,10 @@ class Many:
     def __init__(
         self, setting: Setting, policy: str, config: ShieldConfig, envs: int = _ENVS, chosen: bool = False
     ) -> None:
-        known = policy in _NAMED or policy in list_references() or policy.endswith(".zip")
+        known = policy in _BATCH_POLICIES or policy in list_references() or policy.endswith(".zip")
         if not known:
             raise ConfigError(
-                f"{policy!r} does not drive side by side; have {', '.join(_NAMED)}, references and zip files"
+                f"{policy!r} does not drive side by side; have {', '.join(_BATCH_POLICIES)}, references and zip files"
             )
         self._highways = batch_for(setting.env_id, config)(
             setting.env_id, envs, setting.configured, config, tape=chosen
@@ -88,13 +88,13 @@ class Many:
         self._setting, self._policy, self._config = setting, policy, config
         self.steps = self._highways.steps
         one: Any = self._highways.one()
-        self._measures = SideBySide(envs, action_steps(one.unwrapped.action_type.actions))
+        self._measures = BatchMeasures(envs, action_steps(one.unwrapped.action_type.actions))
         made = make_policy(policy, one)
         blind, self._draws = (
-            isinstance(made, ConstantPolicy | RandomPolicy | WeavingPolicy),
-            isinstance(made, RandomPolicy),
+            isinstance(made, ConstantPolicy | RandomActions | WeavingPolicy),
+            isinstance(made, RandomActions),
         )
-        self._drivers: Drivers = Blind(made, envs, self.steps) if blind else ModelDrivers(made)  # type: ignore[arg-type]
+        self._drivers: BatchDrivers = OpenLoopDrivers(made, envs, self.steps) if blind else ModelBatchDrivers(made)  # type: ignore[arg-type]
         if not blind and getattr(getattr(made, "policy", None), "lstm_actor", None) is not None:
             raise ConfigError(f"{policy!r} is recurrent; it drives one environment at a time")
 
@@ -133,7 +133,7 @@ class Many:
         """Number of random numbers of a scene (see `Simulator.draws`)."""
         return int(self._highways.simulator.draws)
 
-    def run_chosen(self, shares: FloatArray, actions: IntArray | None = None) -> Chosen:
+    def run_chosen(self, shares: FloatArray, actions: IntArray | None = None) -> BatchResult:
         """Drive episodes in chosen scenes.
 
         Parameters
@@ -159,7 +159,7 @@ class Many:
 
         return self._run(len(shares), begin, actions)
 
-    def run_seeds(self, seeds: Sequence[int] | IntArray, actions: IntArray | None = None) -> Chosen:
+    def run_seeds(self, seeds: Sequence[int] | IntArray, actions: IntArray | None = None) -> BatchResult:
         """Drive the episodes of the seeds (n,); `actions` and the result are those of `run_chosen`."""
 
         def begin(i: int, k: int) -> None:
@@ -168,7 +168,7 @@ class Many:
 
         return self._run(len(seeds), begin, actions)
 
-    def _run(self, count: int, begin: Callable[[int, int], None], actions: IntArray | None) -> Chosen:
+    def _run(self, count: int, begin: Callable[[int, int], None], actions: IntArray | None) -> BatchResult:
         gaps, times, offences = np.empty(count), np.empty(count), np.zeros(count, np.intp)
         given_up = np.zeros(count, np.bool_)
 
@@ -185,12 +185,12 @@ class Many:
         drivers = self._drivers
         planned = np.zeros((self._highways.num_envs, 1 if actions is None else actions.shape[1]), np.intp)
         if actions is not None:
-            self._drivers = Planned(planned)
+            self._drivers = GivenActions(planned)
         try:
             self._drive(count, begin_planned, end, True)
         finally:
             self._drivers = drivers
-        return Chosen(gaps, times, offences, given_up)
+        return BatchResult(gaps, times, offences, given_up)
 
     def _drive(
         self, count: int, begin: Callable[[int, int], None], end: Callable[[int, int, Tallies, bool], None], times: bool
@@ -244,7 +244,7 @@ class Many:
         crashed, attribution = bool(tallies.crashed[i]), "none"
         if crashed:
             # Crashes are rare enough to be driven again, one frame at a time.
-            variant = Variant() if self._config.mode == "none" else variant_for(self._config)
+            variant = ShieldVariant() if self._config.mode == "none" else variant_for(self._config)
             attribution = run_episode(self._setting, self._policy, variant, seed, simulator="compiled").attribution
         steps, frames = int(tallies.steps[i]), int(tallies.frames[i])
         return {
@@ -267,7 +267,7 @@ class Many:
             "min_margin": float(tallies.min_margin[i]),
             "min_gap": float(tallies.min_gap[i]),
             "simulator": "compiled",
-            "rules": told(rules_in(tallies.broken[i])),
+            "rules": rules_text(rules_in(tallies.broken[i])),
             "fallbacks": int(tallies.fallbacks[i]),
             "frame_override_share": float(tallies.frames_overridden[i] / frames),
             "mean_reward": float(tallies.total[i] / steps),

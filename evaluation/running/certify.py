@@ -24,14 +24,14 @@ from evaluation.running.identity import check_files, hash_of_files, model_hashes
 from evaluation.running.manifest import check_fits, extended, provenance
 from evaluation.running.named_policies import is_model, make_policy
 from evaluation.running.parts import Parts
-from evaluation.running.records import Variant, told, variant_for
+from evaluation.running.records import ShieldVariant, rules_text, variant_for
 from evaluation.settings import Setting
-from evaluation.simulators import compiled_where_it_serves
+from evaluation.simulators import compiled_if_supported
 from shield.config import ShieldConfig
 from shield.decision import Tier
 from shield.errors import ConfigError
 
-__all__ = ["Asked", "certify", "page"]
+__all__ = ["CertifyRun", "certify", "page"]
 
 _PART = 1_000
 """Episodes of a part: the most that each process loses if a run is killed."""
@@ -63,7 +63,7 @@ _SHOWN = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class CertifyRun:
     """Specification of a run.
 
     Attributes
@@ -84,7 +84,7 @@ class Asked:
     simulator: str = "auto"
 
     @property
-    def variant(self) -> Variant:
+    def variant(self) -> ShieldVariant:
         """The variant of the shield between the policy and the environment."""
         return variant_for(self.config, self.setting)
 
@@ -121,7 +121,7 @@ class Asked:
         return [(first, min(_PART, last - first)) for first in range(self.seed, last, _PART)]
 
 
-def certify(asked: Asked, folder: str | Path, jobs: int = 1, progress: Any = None) -> pd.DataFrame:
+def certify(asked: CertifyRun, folder: str | Path, jobs: int = 1, progress: Any = None) -> pd.DataFrame:
     """Drive the episodes that are not in the folder yet, and return all of them.
 
     Parameters
@@ -162,7 +162,7 @@ def certify(asked: Asked, folder: str | Path, jobs: int = 1, progress: Any = Non
     return whole
 
 
-def _claim(parts: Parts, asked: Asked) -> None:
+def _claim(parts: Parts, asked: CertifyRun) -> None:
     """Write the specification into the folder, or raise `ConfigError` if the folder belongs to another run."""
     _adopt(parts, asked)
     made = provenance(json.loads(json.dumps(asked.told())), models=asked.models)
@@ -179,7 +179,7 @@ def _claim(parts: Parts, asked: Asked) -> None:
     parts.claim(made)
 
 
-def _adopt(parts: Parts, asked: Asked) -> None:
+def _adopt(parts: Parts, asked: CertifyRun) -> None:
     """Convert a folder of an earlier version, with parts beside asked.json and other keys in it, to a store."""
     note = parts.folder / "asked.json"
     if not note.is_file():
@@ -217,7 +217,7 @@ def _driven(
 
 
 @lru_cache(maxsize=1)
-def _side_by_side(asked: Asked, files: str) -> Many | None:
+def _episode_batch(asked: CertifyRun, files: str) -> Many | None:
     """The batch runner, or None where it is not supported; cached while `files`, the hashes of the policy's files, stay
     the same."""
 
@@ -226,16 +226,16 @@ def _side_by_side(asked: Asked, files: str) -> Many | None:
         return many, many.exact
 
     try:
-        return compiled_where_it_serves(asked.simulator, compiled)
+        return compiled_if_supported(asked.simulator, compiled)
     except ConfigError:
         return None  # `run_paired` may support the run, or raises an error that names what is missing
 
 
-def _drive(asked: Asked, folder: Path, files: str, first: int, count: int) -> pd.DataFrame:
+def _drive(asked: CertifyRun, folder: Path, files: str, first: int, count: int) -> pd.DataFrame:
     """Drive one part and write it atomically; `files` are the hashes of the policy's files."""
     seeds = range(first, first + count)
     check_files(asked.policy, None, files)
-    many = _side_by_side(asked, files)
+    many = _episode_batch(asked, files)
     if many is not None:
         frame = many.run(seeds)
     else:
@@ -248,12 +248,12 @@ def _drive(asked: Asked, folder: Path, files: str, first: int, count: int) -> pd
 
 
 def _broken(episodes: pd.DataFrame) -> str:
-    """Number of violations by rule in all episodes, in the format of `told`."""
+    """Number of violations by rule in all episodes, in the format of `rules_text`."""
     rules: Counter[str] = Counter()
     for text in episodes["rules"].dropna():
         for rule, count in (each.rsplit(" ", 1) for each in text.split(", ") if each):
             rules[rule] += int(count)
-    return told(rules)
+    return rules_text(rules)
 
 
 def page(episodes: pd.DataFrame) -> str:

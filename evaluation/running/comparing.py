@@ -14,7 +14,7 @@ from evaluation.running.episodes import RunOptions, run_paired
 from evaluation.running.identity import model_hashes, of_environment, of_policy
 from evaluation.running.named_policies import is_model, make_policy
 from evaluation.running.processes import Engine
-from evaluation.running.records import Variant
+from evaluation.running.records import ShieldVariant
 from evaluation.running.simulators import environment
 from evaluation.running.store import Store
 from evaluation.running.store_rows import KEY
@@ -43,7 +43,7 @@ class Comparison:
         If two policies would be reported under the same name.
     """
 
-    settings: tuple[tuple[Setting, tuple[Variant, ...]], ...]
+    settings: tuple[tuple[Setting, tuple[ShieldVariant, ...]], ...]
     policies: tuple[str, ...]
     seeds: range
     sensors: tuple[str, ...] = ("exact",)
@@ -122,7 +122,7 @@ class Comparison:
         models = [each for each in self.policies if is_model(each)]
         for setting, _ in self.settings if models else ():
             for sensor in self.sensors:
-                _, env = environment(setting, "idle", Variant(), None, "highway-env", sensor)
+                _, env = environment(setting, "idle", ShieldVariant(), None, "highway-env", sensor)
                 try:
                     for each in models:
                         made = make_policy(each, env, self.algorithm)

@@ -14,7 +14,7 @@ from evaluation.running.counting import UNSHIELDED, Tally, arrival, driving
 from evaluation.running.decision_log import DecisionLog
 from evaluation.running.driving_model import driving_model
 from evaluation.running.named_policies import Policy, make_policy, policy_label, start_episode
-from evaluation.running.records import EpisodeRecord, Variant
+from evaluation.running.records import EpisodeRecord, ShieldVariant
 from evaluation.running.simulators import environment
 from evaluation.settings import Setting
 from shield import Shield, ShieldedEnv
@@ -41,7 +41,7 @@ class DriverSpec(NamedTuple):
 
     setting: Setting
     policy: str | Policy
-    variant: Variant
+    variant: ShieldVariant
     algorithm: str | None = None
     model: str | None = None
     simulator: str = "auto"

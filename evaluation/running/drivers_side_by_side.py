@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.state import IntArray
-from evaluation.running.named_policies import ConstantPolicy, RandomPolicy, WeavingPolicy
+from evaluation.running.named_policies import ConstantPolicy, RandomActions, WeavingPolicy
 from shield.wrappers.ranking import normalised, orders_from_scores, ranking_of
 
-__all__ = ["Blind", "Drivers", "ModelDrivers", "Planned"]
+__all__ = ["BatchDrivers", "GivenActions", "ModelBatchDrivers", "OpenLoopDrivers"]
 
 
-class Drivers(Protocol):
+class BatchDrivers(Protocol):
     """One policy that drives every environment of a batch."""
 
     def begin(self, e: int, seed: int) -> None:
@@ -34,10 +34,10 @@ class Drivers(Protocol):
         """
 
 
-class Blind:
+class OpenLoopDrivers:
     """Policies without observations: all actions of an episode are fixed at its start, (steps,)."""
 
-    def __init__(self, policy: ConstantPolicy | RandomPolicy | WeavingPolicy, envs: int, steps: int) -> None:
+    def __init__(self, policy: ConstantPolicy | RandomActions | WeavingPolicy, envs: int, steps: int) -> None:
         self._policy, self._actions = policy, np.zeros((envs, steps), np.intp)
 
     def begin(self, e: int, seed: int) -> None:
@@ -49,7 +49,7 @@ class Blind:
         return self._actions[np.arange(len(steps)), steps], None
 
 
-class Planned:
+class GivenActions:
     """Given sequences of actions, (e, steps); the last one is repeated."""
 
     def __init__(self, actions: IntArray) -> None:
@@ -63,7 +63,7 @@ class Planned:
         return self._actions[np.arange(len(steps)), np.minimum(steps, self._actions.shape[1] - 1)], None
 
 
-class ModelDrivers:
+class ModelBatchDrivers:
     """An SB3 model with one prediction for the observations of all environments."""
 
     def __init__(self, model: Any) -> None:

@@ -18,7 +18,7 @@ import gymnasium as gym
 import numpy as np
 
 from dynamics.errors import ModelError
-from dynamics.learned.data.collect import Predicts, collect
+from dynamics.learned.data.collect import PredictingPolicy, collect
 from dynamics.learned.data.transitions import Transitions
 from dynamics.learned.models.casadi_steps import LearnedStep, LearnedSteps, actuator_notes
 from dynamics.learned.models.files import save_model
@@ -38,7 +38,7 @@ __all__ = [
     "MODELS",
     "STAGE",
     "TRANSITIONS",
-    "Trained",
+    "TrainedDrivingModel",
     "collect_driving",
     "driving_model",
     "load_driving",
@@ -65,7 +65,7 @@ _HIDDEN = (16, 16)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trained:
+class TrainedDrivingModel:
     """A trained model, its data, and the processor time of collection and training [s].
 
     Attributes
@@ -146,7 +146,7 @@ def collect_driving(
     try:
         env.reset(seed=0)
         actuators = Actuators.of(env.unwrapped.action_type)  # type: ignore[attr-defined]
-        driver: Predicts
+        driver: PredictingPolicy
         world: gym.Env[Any, Any] = env
         if policy is None:
             generator = np.random.default_rng([seed, 1])
@@ -166,7 +166,7 @@ def train_driving(
     folder: str | Path | None = None,
     transitions: int = TRANSITIONS,
     progress: bool = False,
-) -> Iterator[Trained]:
+) -> Iterator[TrainedDrivingModel]:
     """Collect random driving and fit the models of a setting, one after the other.
 
     Parameters
@@ -191,7 +191,7 @@ def train_driving(
         data, actuators = collect_driving(setting, frames, transitions, seed)
         config = ModelConfig(dt=data.dt, hidden=_HIDDEN, members=1, seed=seed)
         model = fit(data, config, FitConfig(seed=seed, **_FIT), progress=progress).model  # type: ignore[arg-type]
-        trained = Trained(model, data, actuators, frequency, frames, process_time() - begin)
+        trained = TrainedDrivingModel(model, data, actuators, frequency, frames, process_time() - begin)
         if folder is not None:
             notes = {"setting": setting, "transitions": len(data), "seed": seed, "cpu": round(trained.seconds, 1)}
             save_model(model, Path(folder, trained.name), {**notes, **actuator_notes(actuators)})

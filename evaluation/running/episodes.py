@@ -20,7 +20,7 @@ from evaluation.running.identity import check_files, hash_of_files
 from evaluation.running.named_policies import Policy
 from evaluation.running.processes import Engine, Processes
 from evaluation.running.progress import EpisodeProgress
-from evaluation.running.records import EpisodeRecord, Variant
+from evaluation.running.records import EpisodeRecord, ShieldVariant
 from evaluation.running.store import Store
 from evaluation.settings import Setting, get_setting
 from evaluation.threads import one_thread
@@ -54,7 +54,7 @@ class RunOptions:
 def run_episode(
     setting: str | Setting,
     policy: str | Policy,
-    variant: Variant | None = None,
+    variant: ShieldVariant | None = None,
     seed: int = 100_000,
     algorithm: str | None = None,
     model: str | None = None,
@@ -73,7 +73,7 @@ def run_episode(
     after : see `evaluation.running.driver.Driver.run`.
     """
     setting = get_setting(setting) if isinstance(setting, str) else setting
-    driver = Driver(DriverSpec(setting, policy, variant or Variant(), algorithm, model, simulator, sensor))
+    driver = Driver(DriverSpec(setting, policy, variant or ShieldVariant(), algorithm, model, simulator, sensor))
     try:
         with one_thread():
             return driver.run(seed, after)
@@ -84,7 +84,7 @@ def run_episode(
 def run_paired(
     setting: str | Setting,
     policy: str | Policy,
-    variants: Iterable[Variant],
+    variants: Iterable[ShieldVariant],
     seeds: Iterable[int],
     *,
     jobs: int = 1,

@@ -41,7 +41,7 @@ __all__ = [
     "BASELINES",
     "ConstantPolicy",
     "Policy",
-    "RandomPolicy",
+    "RandomActions",
     "WeavingPolicy",
     "is_model",
     "make_policy",
@@ -97,7 +97,7 @@ class ConstantPolicy:
         return np.full(steps, self.action)
 
 
-class RandomPolicy:
+class RandomActions:
     """Uniform random actions from a generator of its own, reproducible per episode.
 
     Parameters
@@ -176,8 +176,8 @@ def is_model(name: str) -> bool:
 
 
 def start_episode(policy: Policy, seed: int) -> None:
-    """Start an episode of a policy with this seed; only `RandomPolicy` and `WeavingPolicy` have such a state."""
-    if isinstance(policy, RandomPolicy | WeavingPolicy):
+    """Start an episode of a policy with this seed; only `RandomActions` and `WeavingPolicy` have such a state."""
+    if isinstance(policy, RandomActions | WeavingPolicy):
         policy.reset(seed)
 
 
@@ -205,7 +205,7 @@ def make_policy(
     if name in _META or name in _INPUTS:
         return ConstantPolicy(_constant(name, env))
     if name == "random":
-        return RandomPolicy(env.action_space)
+        return RandomActions(env.action_space)
     if name == "weaving":
         return WeavingPolicy([_meta_action(label, env) for label in _WEAVING])
     if name == "lookahead":

@@ -12,21 +12,21 @@ from evaluation.settings import Setting
 from shield.config import PERCEPTIONS, ShieldConfig
 from shield.decision import Reason, Tier, Verification
 from shield.errors import ConfigError
-from shield.wrappers.defaults import Given, Place, choose_settings
+from shield.wrappers.defaults import Given, SettingsContext, choose_settings
 
-__all__ = ["DOORS", "EpisodeRecord", "Variant", "config_on", "make_variants", "told", "variant_for"]
+__all__ = ["PLACEMENTS", "EpisodeRecord", "ShieldVariant", "config_on", "make_variants", "rules_text", "variant_for"]
 
-DOORS = ("none", "env", "policy", "actions")
-"""Values of `Variant.door`: no shield; `ShieldedEnv`; `Shield`; `Shield` with `frames=False`, without frames."""
+PLACEMENTS = ("none", "env", "policy", "actions")
+"""Values of `ShieldVariant.door`: no shield; `ShieldedEnv`; `Shield`; `Shield` with `frames=False`, without frames."""
 
 
 @dataclass(frozen=True, slots=True)
-class Variant:
+class ShieldVariant:
     """The shield between the policy and the environment.
 
     Attributes
     ----------
-    door : one of `DOORS`.
+    door : one of `PLACEMENTS`.
     config : the shield's settings; ignored without a shield.
     perception : source of the shield's scenes, one of `shield.config.PERCEPTIONS`.
     note : distinguishes variants of the same mode, such as "buffer 4 m".
@@ -38,8 +38,8 @@ class Variant:
     note: str = ""
 
     def __post_init__(self) -> None:
-        if self.door not in DOORS:
-            raise ConfigError(f"unknown door {self.door!r}; valid are {', '.join(DOORS)}")
+        if self.door not in PLACEMENTS:
+            raise ConfigError(f"unknown door {self.door!r}; valid are {', '.join(PLACEMENTS)}")
         if self.perception not in PERCEPTIONS:
             raise ConfigError(f"unknown perception {self.perception!r}; valid are {', '.join(PERCEPTIONS)}")
 
@@ -55,7 +55,7 @@ class Variant:
             return "none"
         return f"{self.config.mode}, {self.note}" if self.note else self.config.mode
 
-    def with_buffers(self, lengths: Sequence[float]) -> list[Variant]:
+    def with_buffers(self, lengths: Sequence[float]) -> list[ShieldVariant]:
         """Copies with each of these buffers along the road [m]; only itself without a shield or without lengths.
 
         Examples
@@ -72,7 +72,7 @@ class Variant:
         return [replace(self, config=config, note=note) for config, note in zip(configs, notes, strict=True)]
 
 
-def variant_for(config: ShieldConfig, setting: Setting | None = None) -> Variant:
+def variant_for(config: ShieldConfig, setting: Setting | None = None) -> ShieldVariant:
     """The variant for a configuration.
 
     `ShieldedEnv`; or `Shield` with `frames=False` if the traffic is simulated and the actions are meta-actions.
@@ -83,7 +83,7 @@ def variant_for(config: ShieldConfig, setting: Setting | None = None) -> Variant
     setting : the environment; meta-actions by default.
     """
     alone = config.assumptions.simulated and not (setting is not None and _decides_inputs(setting))
-    return Variant("actions" if alone else "env", config)
+    return ShieldVariant("actions" if alone else "env", config)
 
 
 def _decides_inputs(setting: Setting) -> bool:
@@ -105,7 +105,7 @@ def config_on(setting: Setting, given: Given = None, door: str = "env", observes
     ----------
     setting : the environment.
     given : settings, "simulated" or "worst-case"; None for the shield's default.
-    door : one of `DOORS`.
+    door : one of `PLACEMENTS`.
     observes : whether scenes come from observations.
     """
     env = setting.make()
@@ -114,7 +114,7 @@ def config_on(setting: Setting, given: Given = None, door: str = "env", observes
         if base.road is None:
             env.reset(seed=0)
         inputs = isinstance(base.action_type, ContinuousAction)
-        return choose_settings(given, Place(base, inputs, door != "actions", observes)).config
+        return choose_settings(given, SettingsContext(base, inputs, door != "actions", observes)).config
     finally:
         env.close()
 
@@ -125,13 +125,13 @@ def make_variants(
     config: Given = None,
     perceptions: Sequence[str] = ("simulator",),
     setting: Setting | None = None,
-) -> list[Variant]:
+) -> list[ShieldVariant]:
     """Make the variants of each mode, `door` and perception; the mode "none" is one variant without a shield.
 
     Parameters
     ----------
     modes : shield modes.
-    doors : values from `DOORS`.
+    doors : values from `PLACEMENTS`.
     config : settings, "simulated" or "worst-case"; by default those that the shield chooses in the environment of
         `setting`, or without one on a straight highway.
     perceptions : values from `shield.config.PERCEPTIONS`.
@@ -142,7 +142,7 @@ def make_variants(
     >>> [(v.door, v.mode) for v in make_variants(["none", "full"], ["env", "policy"])]
     [('none', 'none'), ('env', 'full'), ('policy', 'full')]
     """
-    variants: list[Variant] = []
+    variants: list[ShieldVariant] = []
     for mode in modes:
         for door in ["none"] if mode == "none" else doors:
             for perception in ["simulator"] if mode == "none" else perceptions:
@@ -152,13 +152,13 @@ def make_variants(
                     chosen = config if isinstance(config, ShieldConfig) else simple
                 else:
                     chosen = config_on(setting, config, door, observes)
-                variant = Variant(door, chosen if door == "none" else chosen.replace(mode=mode), perception)
+                variant = ShieldVariant(door, chosen if door == "none" else chosen.replace(mode=mode), perception)
                 if variant not in variants:
                     variants.append(variant)
     return variants
 
 
-def told(rules: Mapping[str, int]) -> str:
+def rules_text(rules: Mapping[str, int]) -> str:
     """Number of violations by rule, as a text.
 
     Examples
@@ -176,7 +176,7 @@ class EpisodeRecord:
     Attributes
     ----------
     setting, policy : names.
-    door, mode : `place` and `mode` of the `Variant`.
+    door, mode : `place` and `mode` of the `ShieldVariant`.
     seed : seed of the episode.
     crashed : whether the ego crashed.
     off_road : whether the ego's centre left the road.
@@ -195,7 +195,7 @@ class EpisodeRecord:
     reasons, tiers : number of decisions by `Reason` and `Tier` (columns "reason_…", "tier_…").
     frames, frames_overridden : number of simulation frames, and of those in which the shield acted.
     violations : number of violations of the assumptions by the traffic; None if the variant does not count them.
-    rules : number of violations by rule (column "rules", see `told`).
+    rules : number of violations by rule (column "rules", see `rules_text`).
     min_margin : least margin of the executed plans [m]; NaN if none was computed.
     min_gap : least clearance to another vehicle [m]; 0 in a crash.
     min_time_to_collision : least time to a collision at constant velocities [s]; 0 in a crash.
@@ -280,7 +280,7 @@ class EpisodeRecord:
         """The record as flat columns of a table."""
         flat = {f.name: getattr(self, f.name) for f in fields(self)}
         reasons, tiers = flat.pop("reasons"), flat.pop("tiers")
-        flat["return"], flat["rules"] = flat.pop("return_"), told(self.rules)
+        flat["return"], flat["rules"] = flat.pop("return_"), rules_text(self.rules)
         flat["latencies_ms"] = list(flat.pop("latencies"))
         flat |= {f"reason_{r.value}": reasons.get(r.value, 0) for r in Reason}
         return flat | {f"tier_{t.value}": tiers.get(t.value, 0) for t in Tier}

@@ -13,9 +13,9 @@ from highway_env.envs.common.action import ContinuousAction
 from dynamics.highway_simulator.env import CompiledHighwayEnv
 from dynamics.road_networks.simulation.supported_traffic import on_network
 from evaluation.policies import list_references
-from evaluation.running.records import Variant, variant_for
+from evaluation.running.records import ShieldVariant, variant_for
 from evaluation.settings import Setting
-from evaluation.simulators import compiled_where_it_serves, with_compiled_frames
+from evaluation.simulators import compiled_if_supported, with_compiled_frames
 from evaluation.wrappers.channels import seen_through, split_sensor
 from shield.errors import ConfigError
 
@@ -30,7 +30,7 @@ objects."""
 
 
 def environment(
-    setting: Setting, policy: Any, variant: Variant, model: str | None, simulator: str, sensor: str = "exact"
+    setting: Setting, policy: Any, variant: ShieldVariant, model: str | None, simulator: str, sensor: str = "exact"
 ) -> tuple[str, gym.Env[Any, Any]]:
     """Make the environment of a setting.
 
@@ -67,13 +67,13 @@ def environment(
             raise ConfigError("throttle and steering are verified by simulation in highway-env itself")
         return seen_through(env, sensor), env.simulator.exact
 
-    env = compiled_where_it_serves(simulator, compiled)
+    env = compiled_if_supported(simulator, compiled)
     if env is not None:
         return "compiled", env
     return "highway-env", seen_through(setting.make(), sensor)
 
 
-def _with_compiled_frames(made: gym.Env[Any, Any], variant: Variant) -> tuple[gym.Env[Any, Any], bool]:
+def _with_compiled_frames(made: gym.Env[Any, Any], variant: ShieldVariant) -> tuple[gym.Env[Any, Any], bool]:
     """An environment on a road network with compiled frames; raises `ConfigError` if the shield supervises frames."""
     meta = made.unwrapped.config["action"]["type"] == "DiscreteMetaAction"  # type: ignore[attr-defined]
     if variant.door == "policy" or (variant.door == "env" and not (meta and variant.config.simulates)):
@@ -82,7 +82,7 @@ def _with_compiled_frames(made: gym.Env[Any, Any], variant: Variant) -> tuple[gy
     return env, env.exact
 
 
-def _check(policy: Any, variant: Variant, model: str | None) -> None:
+def _check(policy: Any, variant: ShieldVariant, model: str | None) -> None:
     """Raise `ConfigError` if the policy or the shield reads more of highway-env than the compiled copy has."""
     if variant.door not in ("none", "env") and variant != variant_for(variant.config):
         raise ConfigError(f"door {variant.door!r} stands around highway-env; the compiled highway has none and env")

@@ -15,7 +15,7 @@ from highway_env.vehicle.controller import ControlledVehicle, MDPVehicle
 
 from dynamics.road_networks.traffic.priority_road import PriorityRoad
 from dynamics.vehicle.action_grid import make_action_type
-from evaluation.scenarios.course import SUBMAPS, Course, build_course, check_counts
+from evaluation.scenarios.course import SUBMAPS, ScenarioMap, build_map, check_counts
 from evaluation.scenarios.traffic import ENTRY, populate, recycle
 from evaluation.wrappers.on_lane_reward import OnLane, on_lane_reward
 from evaluation.wrappers.signed_lane import extend_observation, extended_space, lane_offset
@@ -63,7 +63,7 @@ class ComplexRoadsEnv(AbstractEnv):  # type: ignore[misc]
     (np.int64(45), 3, True)
     """
 
-    course: Course
+    course: ScenarioMap
     changes_between_decisions_only = True
     """Vehicles enter again only between two decisions; the compiled copy of the traffic reads this."""
     makes_grids = True
@@ -121,7 +121,7 @@ class ComplexRoadsEnv(AbstractEnv):  # type: ignore[misc]
         self.action_space = self.action_type.space()
 
     def _reset(self) -> None:
-        self.course = build_course(self.config["submap_counts"])
+        self.course = build_map(self.config["submap_counts"])
         self.road = PriorityRoad(
             network=self.course.network, np_random=self.np_random, record_history=self.config["show_trajectories"]
         )

@@ -7,19 +7,19 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from evaluation.scenarios.frames import Frame
+from evaluation.scenarios.frames import RoadFrame
 from evaluation.scenarios.pieces import BUILDERS, Piece, Port, turning_circle
 from evaluation.scenarios.wide_network import WideNetwork
 from shield.errors import ConfigError
 
-__all__ = ["SUBMAPS", "Course", "build_course", "check_counts", "order_of"]
+__all__ = ["SUBMAPS", "ScenarioMap", "build_map", "check_counts", "order_of"]
 
 SUBMAPS: Mapping[str, int] = MappingProxyType({"merge": 2, "intersection": 2, "roundabout": 2, "straight": 4})
 """Default number of pieces of each kind."""
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class ScenarioMap:
     """A road network with open ends.
 
     Attributes
@@ -62,7 +62,7 @@ def order_of(counts: Mapping[str, int]) -> tuple[str, ...]:
     return ends[0], *between, ends[1]
 
 
-def build_course(counts: Mapping[str, int] = SUBMAPS) -> Course:
+def build_map(counts: Mapping[str, int] = SUBMAPS) -> ScenarioMap:
     """Join pieces to a map.
 
     The map begins in the west. At intersections it goes on to the right and to the left in alternation, so that it does
@@ -88,7 +88,7 @@ def build_course(counts: Mapping[str, int] = SUBMAPS) -> Course:
     True
     """
     check_counts(counts)
-    entry = Port(Frame(), "west.in", "west.out")
+    entry = Port(RoadFrame(), "west.in", "west.out")
     pieces: list[Piece] = []
     made: dict[str, int] = {}
     ends, entries = [entry.entering], [entry.leaving]
@@ -123,7 +123,7 @@ def check_counts(counts: Any) -> None:
         raise ConfigError(f"submap_counts needs at least one of {', '.join(SUBMAPS)}")
 
 
-def _joined(pieces: list[Piece], entries: list[str], ends: list[str]) -> Course:
+def _joined(pieces: list[Piece], entries: list[str], ends: list[str]) -> ScenarioMap:
     edges = [edge for piece in pieces for edge in piece.edges]
     network = WideNetwork((edge.start, edge.end, lane) for edge in edges for lane in edge.lanes)
     spawns, exits = {}, {}
@@ -132,7 +132,7 @@ def _joined(pieces: list[Piece], entries: list[str], ends: list[str]) -> Course:
             spawns[edge.start] = (edge.start, edge.end)
         if edge.end in ends:
             exits[edge.end] = (edge.start, edge.end)
-    return Course(
+    return ScenarioMap(
         network,
         tuple(spawns[node] for node in entries),
         {node: exits[node] for node in ends},

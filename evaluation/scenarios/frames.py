@@ -16,7 +16,7 @@ from highway_env.road.lane import AbstractLane, CircularLane, LineType, SineLane
 
 from dynamics.state import FloatArray, wrap_to_pi
 
-__all__ = ["ARM_SPEED", "OFFSETS", "ROAD_SPEED", "TURN_SPEED", "WIDTH", "Frame", "Kind", "Lanes", "Lines"]
+__all__ = ["ARM_SPEED", "OFFSETS", "ROAD_SPEED", "TURN_SPEED", "WIDTH", "Kind", "Lines", "RoadFrame", "RoadLanes"]
 
 WIDTH = AbstractLane.DEFAULT_WIDTH
 """Width of a lane [m]."""
@@ -59,12 +59,12 @@ class Kind(NamedTuple):
         ]
 
 
-Lanes = tuple[AbstractLane, ...]
+RoadLanes = tuple[AbstractLane, ...]
 """The lanes of one road, from left to right."""
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class RoadFrame:
     """A position and a direction.
 
     Attributes
@@ -91,12 +91,12 @@ class Frame:
         cos, sin = np.cos(self.heading), np.sin(self.heading)
         return np.array([self.x + cos * x - sin * y, self.y + sin * x + cos * y])
 
-    def at(self, x: float, y: float, turn: float = 0.0) -> Frame:
+    def at(self, x: float, y: float, turn: float = 0.0) -> RoadFrame:
         """The frame at a point of this one, turned to the right by `turn` [rad]."""
         place = self.point(x, y)
-        return Frame(float(place[0]), float(place[1]), float(wrap_to_pi(self.heading + turn)))
+        return RoadFrame(float(place[0]), float(place[1]), float(wrap_to_pi(self.heading + turn)))
 
-    def straight(self, start: tuple[float, float], end: tuple[float, float], kind: Kind) -> Lanes:
+    def straight(self, start: tuple[float, float], end: tuple[float, float], kind: Kind) -> RoadLanes:
         """Two straight lanes to the right of the line from `start` to `end`.
 
         Parameters
@@ -111,7 +111,7 @@ class Frame:
             for offset, each in zip(OFFSETS, kind.of_lanes(), strict=True)
         )
 
-    def shift(self, start: tuple[float, float], end: tuple[float, float], kind: Kind) -> Lanes:
+    def shift(self, start: tuple[float, float], end: tuple[float, float], kind: Kind) -> RoadLanes:
         """Two lanes that shift from one line along x to another, along half a period of a sine.
 
         Parameters
@@ -133,7 +133,7 @@ class Frame:
             for offset, each in zip(OFFSETS, kind.of_lanes(), strict=True)
         )
 
-    def arc(self, center: tuple[float, float], radius: float, start: float, end: float, kind: Kind) -> Lanes:
+    def arc(self, center: tuple[float, float], radius: float, start: float, end: float, kind: Kind) -> RoadLanes:
         """Two lanes to the right of an arc, which turns right if `end` is greater than `start`.
 
         Parameters

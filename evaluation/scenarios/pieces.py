@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from evaluation.scenarios.frames import ARM_SPEED, ROAD_SPEED, TURN_SPEED, Frame, Kind, Lanes, Lines
+from evaluation.scenarios.frames import ARM_SPEED, ROAD_SPEED, TURN_SPEED, Kind, Lines, RoadFrame, RoadLanes
 
 __all__ = ["BUILDERS", "Edge", "Piece", "Port", "intersection", "merge", "roundabout", "straight", "turning_circle"]
 
@@ -45,7 +45,7 @@ class Edge:
 
     start: str
     end: str
-    lanes: Lanes
+    lanes: RoadLanes
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,12 +59,12 @@ class Port:
     entering : node where vehicles enter the piece.
     """
 
-    frame: Frame
+    frame: RoadFrame
     leaving: str
     entering: str
 
     @classmethod
-    def named(cls, name: str, frame: Frame) -> Port:
+    def named(cls, name: str, frame: RoadFrame) -> Port:
         """A port with nodes of the same name."""
         return cls(frame, f"{name}.out", f"{name}.in")
 
@@ -162,7 +162,7 @@ _SIDES = ("back", "left", "front", "right")
 the centre."""
 
 
-def _arms(name: str, entry: Port, middle: Frame, length: float, sides: tuple[str, ...]) -> list[tuple[float, Port]]:
+def _arms(name: str, entry: Port, middle: RoadFrame, length: float, sides: tuple[str, ...]) -> list[tuple[float, Port]]:
     """Arms of a crossing, in the order of `_SIDES`.
 
     Returns

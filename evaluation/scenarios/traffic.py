@@ -9,10 +9,10 @@ from highway_env.road.lane import StraightLane
 from highway_env.utils import class_from_path
 from highway_env.vehicle.behavior import IDMVehicle
 
-from evaluation.scenarios.course import Course
+from evaluation.scenarios.course import ScenarioMap
 from shield.errors import ConfigError
 
-__all__ = ["ENTRY", "Place", "begin_on", "free_places", "populate", "recycle"]
+__all__ = ["ENTRY", "LanePosition", "begin_on", "free_places", "populate", "recycle"]
 
 ENTRY = 10.0
 """Initial position on a road that leads into the map [m]."""
@@ -25,11 +25,11 @@ _SPACING = 25.0
 _PACE = (0.7, 1.0)
 """Range of initial speeds, as a share of the speed limit."""
 
-Place = tuple[tuple[str, str, int], float]
+LanePosition = tuple[tuple[str, str, int], float]
 """A lane of the network and a position along it [m]."""
 
 
-def populate(road: Any, course: Course, kind: str, count: int, ego: Any) -> None:
+def populate(road: Any, course: ScenarioMap, kind: str, count: int, ego: Any) -> None:
     """Put `count` vehicles on the map, each with a route to an exit.
 
     Parameters
@@ -62,7 +62,7 @@ def populate(road: Any, course: Course, kind: str, count: int, ego: Any) -> None
         road.vehicles.append(vehicle)
 
 
-def free_places(course: Course) -> list[Place]:
+def free_places(course: ScenarioMap) -> list[LanePosition]:
     """Positions for vehicles on straight roads, at least `_SPACING` apart along a lane, without exit roads."""
     leading_out = set(course.exits.values())
     return [
@@ -77,7 +77,7 @@ def free_places(course: Course) -> list[Place]:
     ]
 
 
-def recycle(road: Any, course: Course, ego: Any) -> None:
+def recycle(road: Any, course: ScenarioMap, ego: Any) -> None:
     """Let vehicles at an exit, and wrecks at rest, enter again on a new route.
 
     The vehicle object stays the same, so that recorders of the episode keep track of it. Without room it waits.
@@ -113,11 +113,11 @@ def begin_on(vehicle: Any, lane_index: tuple[str, str, int], along: float, desti
     vehicle.plan_route_to(destination)
 
 
-def _some_exit(road: Any, course: Course) -> str:
+def _some_exit(road: Any, course: ScenarioMap) -> str:
     exits = list(course.exits)
     return exits[int(road.np_random.integers(len(exits)))]
 
 
-def _apart(course: Course, place: Place, position: Any) -> bool:
+def _apart(course: ScenarioMap, place: LanePosition, position: Any) -> bool:
     lane, along = course.network.get_lane(place[0]), place[1]
     return bool(np.hypot(*(lane.position(along, 0.0) - position)) > _SPACING)

@@ -99,7 +99,7 @@ class TrainingOptions:
 
     def __post_init__(self) -> None:
         for each in fields(self):
-            object.__setattr__(self, each.name, _as_held(each, getattr(self, each.name)))
+            object.__setattr__(self, each.name, _field_value(each, getattr(self, each.name)))
         _check_place(self)
         _check_numbers(self)
         _check_shield(self)
@@ -220,7 +220,7 @@ def _check_shield(options: TrainingOptions) -> None:
         raise ConfigError("with masks every proposal is one that verifies: learn from what is proposed")
 
 
-def _as_held(one: Field[Any], value: Any) -> Any:
+def _field_value(one: Field[Any], value: Any) -> Any:
     """Convert a value from TOML or the command line, a text or a list, to the type of the field."""
     if one.name in ("output", "tensorboard", "env_config"):
         return None if value is None else Path(value)

@@ -16,7 +16,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from evaluation.learning.normalisation import fold
 from evaluation.names import FIRST_EVALUATION_SEED
 from evaluation.training.options import TrainingOptions
-from evaluation.training.worlds import make_world
+from evaluation.training.worlds import make_training_envs
 from shield import ShieldConfig
 
 __all__ = ["FIRST_SEED", "PeriodicEvaluation", "better", "drive"]
@@ -62,11 +62,11 @@ class PeriodicEvaluation(BaseCallback):
         self.rows: list[dict[str, Any]] = []
         # Returns are those of the environment; the penalty is part of the score only.
         bare = options.over(override_penalty=0.0)
-        made = make_world(bare, 1)
+        made = make_training_envs(bare, 1)
         envs = min(options.evaluation_episodes, _COMPILED if made.driven_in == "compiled" else _LIVE)
         if envs > 1:
             made.env.close()
-            made = make_world(bare, envs)
+            made = make_training_envs(bare, envs)
         self._env = made.env if isinstance(made.env, VecEnv) else DummyVecEnv([cast(Any, lambda: made.env)])
 
     @classmethod

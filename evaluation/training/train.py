@@ -34,7 +34,7 @@ from evaluation.training.manifest import manifest_of
 from evaluation.training.named_classes import with_classes
 from evaluation.training.options import TrainingOptions
 from evaluation.training.periodic_evaluation import PeriodicEvaluation
-from evaluation.training.worlds import World, make_world
+from evaluation.training.worlds import TrainingEnvs, make_training_envs
 from shield.errors import ConfigError
 
 __all__ = ["TrainedPolicy", "train", "train_recipe", "train_with"]
@@ -175,7 +175,7 @@ def train_with(options: TrainingOptions, *, progress: bool = True, command: str 
             "logging to TensorBoard needs the package tensorboard: pip install 'highway-shield[tensorboard]'"
         )
     get_algorithm(options.learner)
-    world = make_world(options)
+    world = make_training_envs(options)
     callbacks: _Callbacks | None = None
     try:
         _check_actions(options, world.env.action_space)
@@ -235,7 +235,7 @@ class _Callbacks:
         }
 
 
-def _learned(options: TrainingOptions, world: World, callbacks: _Callbacks, progress: bool) -> BaseAlgorithm:
+def _learned(options: TrainingOptions, world: TrainingEnvs, callbacks: _Callbacks, progress: bool) -> BaseAlgorithm:
     """Train and return the final model."""
     model = _model(options, world, callbacks.checkpoints)
     done = model.num_timesteps
@@ -276,7 +276,7 @@ def _check_actions(options: TrainingOptions, actions: gym.Space[Any]) -> None:
         )
 
 
-def _model(options: TrainingOptions, world: World, checkpoints: Checkpoints | None) -> BaseAlgorithm:
+def _model(options: TrainingOptions, world: TrainingEnvs, checkpoints: Checkpoints | None) -> BaseAlgorithm:
     """A new model, or that of the last checkpoint."""
     parameters = with_classes(options.hyperparameters)
     env: Any = world.env

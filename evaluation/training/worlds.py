@@ -13,24 +13,24 @@ from dynamics.highway_simulator.env import CompiledHighwayEnv
 from dynamics.road_networks.simulation.supported_traffic import on_network
 from evaluation.learning.observations import FastObservations
 from evaluation.settings import Setting
-from evaluation.simulators import compiled_where_it_serves, with_compiled_frames
+from evaluation.simulators import compiled_if_supported, with_compiled_frames
 from evaluation.training.options import TrainingOptions
 from evaluation.training.penalised_vec_env import PenalisedVecEnv
 from evaluation.wrappers.channels import seen_through
 from shield import ShieldConfig, ShieldedEnv
 from shield.errors import ConfigError
 
-__all__ = ["World", "make_world"]
+__all__ = ["TrainingEnvs", "make_training_envs"]
 
 
-class World(NamedTuple):
+class TrainingEnvs(NamedTuple):
     """Environments, and the name of their simulator, as in `SIMULATORS`."""
 
     env: gym.Env[Any, Any] | VecEnv
     driven_in: str
 
 
-def make_world(options: TrainingOptions, envs: int | None = None) -> World:
+def make_training_envs(options: TrainingOptions, envs: int | None = None) -> TrainingEnvs:
     """Make the environments of a training.
 
     Parameters
@@ -49,7 +49,7 @@ def make_world(options: TrainingOptions, envs: int | None = None) -> World:
     return made._replace(env=PenalisedVecEnv(one, options.override_penalty))
 
 
-def _make(options: TrainingOptions, envs: int) -> World:
+def _make(options: TrainingOptions, envs: int) -> TrainingEnvs:
     setting, sensor = options.environment, options.sensor
     settings = None if options.shield == "none" else ShieldConfig.profile(options.shield)
 
@@ -62,10 +62,12 @@ def _make(options: TrainingOptions, envs: int) -> World:
             return _shielded(setting, settings, sensor, envs)
         return _compiled(setting, made, sensor, envs)
 
-    world = compiled_where_it_serves(options.simulator, compiled)
+    world = compiled_if_supported(options.simulator, compiled)
     if world is not None:
-        return World(world, "compiled")
-    return World(_several(lambda: made() if settings is None else ShieldedEnv(made(), settings), envs), "highway-env")
+        return TrainingEnvs(world, "compiled")
+    return TrainingEnvs(
+        _several(lambda: made() if settings is None else ShieldedEnv(made(), settings), envs), "highway-env"
+    )
 
 
 def _compiled(

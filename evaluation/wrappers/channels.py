@@ -20,7 +20,7 @@ from evaluation.wrappers.ghosts import in_units
 from evaluation.wrappers.sensor_model import SensorModel, get_sensor
 from evaluation.wrappers.sensor_noise import SensorNoise
 from shield.errors import ConfigError
-from shield.perception.certainty import within
+from shield.perception.certainty import probability_within
 from shield.perception.perceiving import ObservationPerception
 from shield.perception.scenes import ObservedScenes
 from shield.perception.spec import STATE, ObservationSpec
@@ -133,8 +133,8 @@ class TrackedConfidence(_Channel):
     """Adds "confidence", a probability for the vehicle in each row.
 
     It is the probability that the vehicle's centre, at the time of the observation, was at most `distance` from the
-    tracker's estimate (`shield.perception.certainty.within`). The ego's row has 1. The tracker is that of a shield that
-    reads observations, updated once for each decision. It assumes the noise of the sensor's own model.
+    tracker's estimate (`shield.perception.certainty.probability_within`). The ego's row has 1. The tracker is that of
+    a shield that reads observations, updated once for each decision. It assumes the noise of the sensor's own model.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ class TrackedConfidence(_Channel):
         # The perception is that of Kinematics: a channel accepts no other observation.
         tracks, column = cast(ObservationPerception, self._scenes.perception).tracks, np.zeros(len(rows))
         seen = tracks.missed == 0
-        column[tracks.places[seen].astype(int)] = within(tracks, self._distance)[seen]
+        column[tracks.places[seen].astype(int)] = probability_within(tracks, self._distance)[seen]
         column[0] = 1.0
         return column
 

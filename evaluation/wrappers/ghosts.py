@@ -9,7 +9,7 @@ import numpy as np
 from dynamics.state import FloatArray
 from shield.perception.spec import STATE, ObservationSpec
 
-__all__ = ["Ghosts", "in_units"]
+__all__ = ["FalseDetections", "in_units"]
 
 _LANE = 4.0
 """Distance of the centre lines of two lanes [m]."""
@@ -17,7 +17,7 @@ _SPEEDS = 15.0, 30.0
 """Range of speeds of false detections, which move along the road [m/s]."""
 
 
-class Ghosts:
+class FalseDetections:
     """False detections on a straight highway.
 
     Each appears at a random position within the range and across the road, and moves on for a few frames.

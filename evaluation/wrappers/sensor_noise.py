@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 
 from dynamics.state import BoolArray, FloatArray
-from evaluation.wrappers.ghosts import Ghosts, in_units
+from evaluation.wrappers.ghosts import FalseDetections, in_units
 from evaluation.wrappers.sensor_model import SENSORS, SensorModel, get_sensor
 from shield.errors import ConfigError
 from shield.perception.spec import STATE, ObservationSpec
@@ -52,7 +52,7 @@ class SensorNoise(gym.ObservationWrapper[Any, Any, Any]):
         self.sensor_noise: FloatArray = np.zeros(len(STATE))
         self.sensor_delay, self.sensor_range = 0, model.range
         self._spec, self._off, self._dt = ObservationSpec(), np.zeros(0), 0.0
-        self._ghosts: Ghosts | None = None
+        self._ghosts: FalseDetections | None = None
         if model.ghosts and "lanes_count" not in self.unwrapped.config:  # type: ignore[attr-defined]
             raise ConfigError("ghosts are on straight highways: the environment's config has no 'lanes_count'")
 
@@ -79,7 +79,7 @@ class SensorNoise(gym.ObservationWrapper[Any, Any, Any]):
             far = min(spec.distance, model.range)
             reach = far, far if spec.see_behind else min(spec.behind, far)
             lanes, timing = int(config["lanes_count"]), (self._dt, frames)
-            self._ghosts = Ghosts(model.ghosts, model.lasting, reach, lanes, timing, self._ghostly)
+            self._ghosts = FalseDetections(model.ghosts, model.lasting, reach, lanes, timing, self._ghostly)
         return self.observation(observation), info
 
     def redraw(self, seed: int) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from dynamics.errors import perhaps
+from dynamics.errors import nearest_name_hint
 from dynamics.highway_simulator.env import CompiledHighwayEnv
 from dynamics.state import BoolArray, FloatArray
 from evaluation.wrappers.checks import check_highway_env, check_number
@@ -193,7 +193,7 @@ def parse_skills(skills: Mapping[str, Sequence[int | str]], count: int, labels: 
             k = indices.get(each, -1) if isinstance(each, str) else action_index(each)
             if not 0 <= k < count:
                 valid = ", ".join(indices) if indices else f"0 to {count - 1}"
-                near = perhaps(each, list(indices)) if isinstance(each, str) else ""
+                near = nearest_name_hint(each, list(indices)) if isinstance(each, str) else ""
                 raise ConfigError(f"skill {name!r} has {each!r}, which is no action{near}; have {valid}")
             found.append(k)
         parsed.append(Skill(str(name), tuple(found)))

@@ -9,13 +9,13 @@ import numpy as np
 from dynamics.roads.straight import Road
 from dynamics.scenes.scene import Scene
 from dynamics.state import FloatArray, RoadState
-from dynamics.traffic.occupancy import Surroundings
+from dynamics.traffic.occupancy import OtherVehicles
 from mpc.filter.problem import FilterSettings
 
 __all__ = ["curvature_ahead", "edges_of", "rectangles"]
 
 
-def rectangles(around: Surroundings, rows: Any, settings: FilterSettings) -> FloatArray:
+def rectangles(around: OtherVehicles, rows: Any, settings: FilterSettings) -> FloatArray:
     """Reachable rectangles of the vehicles `rows` at each stage's end, (N, len(rows), 4), columns `Occupied` [m]."""
     ends = np.array(settings.ends) - 1
     seen = around.occupancy(settings.ends[-1])

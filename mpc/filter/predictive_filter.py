@@ -28,7 +28,7 @@ from dynamics.errors import ConfigError
 from dynamics.state import FloatArray
 from mpc.filter.problem import FilterProblem, FilterSettings, readable
 from mpc.filter.program.condensed import Program
-from mpc.filter.program.question import Question
+from mpc.filter.program.question import ProblemArrays
 from mpc.filter.program.road_step import StageModel
 from mpc.filter.program.sparse import SparseProgram
 from mpc.filter.result import FilterResult, Status
@@ -65,7 +65,7 @@ class PredictiveFilter:
         self.settings, self.model = settings, model
         self._form, solver = _BACKENDS[settings.backend]
         self._solver: QuadraticSolver[Any] = solver(settings)
-        self._programs: dict[tuple[int, bool, bool], Question] = {}
+        self._programs: dict[tuple[int, bool, bool], ProblemArrays] = {}
         self._plan: FloatArray | None = None
         self._program(settings.obstacles, False, False)
 
@@ -171,7 +171,7 @@ class PredictiveFilter:
         work = {name: getattr(first, name) + getattr(second, name) for name in ("active", "sweeps", "solved")}
         return replace(best, **work), True
 
-    def _program(self, obstacles: int, curved: bool, aimed: bool) -> Question:
+    def _program(self, obstacles: int, curved: bool, aimed: bool) -> ProblemArrays:
         """The compiled program for at least that many obstacles."""
         capacity = max(self.settings.obstacles, 1)
         while capacity < obstacles:

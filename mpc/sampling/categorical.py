@@ -19,7 +19,7 @@ import numpy as np
 
 from dynamics.errors import ConfigError
 from dynamics.learned.models.model import StepModel
-from mpc.sampling.plan import Cost, Fallback, Grid, Plan, PlanMemory, PlanStatus, evaluate, read_states
+from mpc.sampling.plan import Cost, Fallback, Grid, PlanMemory, PlanStatus, SampledPlan, evaluate, read_states
 
 __all__ = ["CategoricalCEM", "CategoricalSettings"]
 
@@ -112,7 +112,7 @@ class CategoricalCEM:
             generator = np.random.default_rng(s.seed)
             self._uniform = generator.random((_TABLES, s.samples, s.blocks), dtype=np.float32)
 
-    def plan(self, state: Any, cost: Cost, memory: PlanMemory | None = None) -> Plan:
+    def plan(self, state: Any, cost: Cost, memory: PlanMemory | None = None) -> SampledPlan:
         """The cheapest plan of the search; parameters and errors as in `mpc.sampling.cem.SamplingPlanner.plan`."""
         begin = perf_counter()
         states, single = read_states(self.model, state)
@@ -152,7 +152,7 @@ class CategoricalCEM:
             action[bad] = np.clip(asked, 0, self.actions - 1)[bad]
             best[bad] = action[bad, None, None]
         usual = PlanStatus.TIME_LIMIT if limited else PlanStatus.PLANNED
-        plan = Plan(
+        plan = SampledPlan(
             action=action,
             inputs=best,
             trajectory=np.where(bad[:, None, None], np.nan, trajectory),

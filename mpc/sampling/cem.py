@@ -24,7 +24,7 @@ import numpy as np
 from dynamics.errors import ConfigError
 from dynamics.learned.models.model import StepModel
 from mpc.sampling.noise import NoiseBank
-from mpc.sampling.plan import Cost, Fallback, Plan, PlanMemory, PlanStatus, evaluate, read_states
+from mpc.sampling.plan import Cost, Fallback, PlanMemory, PlanStatus, SampledPlan, evaluate, read_states
 from mpc.sampling.sampler_settings import PlannerSettings
 
 __all__ = ["CEM", "Eliting", "PlannerSettings", "SamplingPlanner", "Update"]
@@ -100,14 +100,14 @@ class SamplingPlanner:
         self._noise = NoiseBank(shape, _TABLES, s.colour, s.seed)
         self._starts = NoiseBank((s.restarts, s.blocks, m), _TABLES, max(2.0, s.colour), s.seed + 1)
 
-    def plan(self, state: Any, cost: Cost, memory: PlanMemory | None = None) -> Plan:
+    def plan(self, state: Any, cost: Cost, memory: PlanMemory | None = None) -> SampledPlan:
         """Find the cheapest plan.
 
         Parameters
         ----------
         state : (d,), or (E, d) for a batch of independent states.
         cost : cost of trajectories; its parameters may have an axis E.
-        memory : `Plan.memory` of the search in the last decision; None at the start of an episode.
+        memory : `SampledPlan.memory` of the search in the last decision; None at the start of an episode.
 
         Raises
         ------
@@ -181,7 +181,7 @@ class SamplingPlanner:
             found.settle(last[:, 0], costs[:, 0], reached[:, 0])
         return found
 
-    def _answer(self, states: Any, search: _Search, memory: PlanMemory, begin: float) -> Plan:
+    def _answer(self, states: Any, search: _Search, memory: PlanMemory, begin: float) -> SampledPlan:
         e, bad = len(states), ~np.isfinite(search.cost)
         inputs = np.where(bad[:, None, None], np.float32(0), search.inputs)
         action = inputs[:, 0].copy()
@@ -191,7 +191,7 @@ class SamplingPlanner:
             action[bad] = np.clip(asked, self.low, self.high)[bad]
             inputs[bad] = action[bad][:, None]
         usual = PlanStatus.TIME_LIMIT if search.limited else PlanStatus.PLANNED
-        return Plan(
+        return SampledPlan(
             action=action,
             inputs=inputs,
             trajectory=np.where(bad[:, None, None], np.nan, search.trajectory),

@@ -20,7 +20,17 @@ from numpy.typing import NDArray
 from dynamics.errors import ConfigError, ModelError
 from dynamics.learned.models.model import StepModel, rollout_held
 
-__all__ = ["Cost", "Fallback", "Grid", "Plan", "PlanMemory", "PlanStatus", "Trajectories", "evaluate", "read_states"]
+__all__ = [
+    "Cost",
+    "Fallback",
+    "Grid",
+    "PlanMemory",
+    "PlanStatus",
+    "SampledPlan",
+    "Trajectories",
+    "evaluate",
+    "read_states",
+]
 
 Fallback = Callable[[Any], Any]
 """Actions (E, m) for states (E, d) without a usable plan."""
@@ -118,7 +128,7 @@ class PlanMemory:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plan:
+class SampledPlan:
     """Result of a planner. The arrays belong to the caller; they have no axis E for a single state.
 
     Attributes
@@ -145,7 +155,7 @@ class Plan:
     time: float
     memory: PlanMemory
 
-    def single(self) -> Plan:
+    def single(self) -> SampledPlan:
         """The plan of the first state, without the axis E."""
         names = ("action", "inputs", "trajectory", "cost", "elites", "elite_costs")
         return replace(self, **{name: getattr(self, name)[0] for name in names})

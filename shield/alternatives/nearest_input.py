@@ -28,7 +28,7 @@ from dynamics.state import FloatArray
 from mpc.filter.solvers.nearest_point import nearest
 from shield.certificate.road.verify import NOTHING, Binding, Clearance, least_bad
 
-__all__ = ["Judged", "Search"]
+__all__ = ["JudgedInputs", "NearestInputSearch"]
 
 _LINEARISATIONS = 4
 """Greatest number of linearisations from one starting point."""
@@ -81,7 +81,7 @@ _SPIRAL = _spiral(4 * _STREWN)
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class JudgedInputs:
     """Judged inputs.
 
     Attributes
@@ -102,20 +102,20 @@ class Judged:
     parts: FloatArray | None = None
     bind: Callable[[int], Binding] = field(default=lambda _: NOTHING, repr=False)
 
-    def row(self, i: int) -> Judged:
+    def row(self, i: int) -> JudgedInputs:
         """The result for input `i` alone."""
         one = slice(i, i + 1)
         bind = self.bind
         rows = self.inputs[one], self.margin[one], self.clear[one], self.lanes[one], self.paths[one]
-        return Judged(*rows, bind=lambda _: bind(i))
+        return JudgedInputs(*rows, bind=lambda _: bind(i))
 
 
-Judge = Callable[[FloatArray, list[int], bool], Judged]
+Judge = Callable[[FloatArray, list[int], bool], JudgedInputs]
 """Judges inputs (n, 2), each for a stop in the first of some lanes for which it verifies; the flag requests the parts
 of the margin."""
 
 
-class Search:
+class NearestInputSearch:
     """Searches for the verified input nearest to one proposal.
 
     Parameters
@@ -132,7 +132,7 @@ class Search:
         self._spans = np.where(spans > 0, spans, 1.0)
         self._low, self._high = (least - proposal) / self._spans, (most - proposal) / self._spans
 
-    def run(self, lanes: list[int], law: FloatArray, every: list[int] | None = None) -> Judged:
+    def run(self, lanes: list[int], law: FloatArray, every: list[int] | None = None) -> JudgedInputs:
         """The nearest verified input that was found; if none verifies, the least bad one.
 
         Parameters
@@ -141,7 +141,7 @@ class Search:
         law : inputs of braking in the first of them, (2,).
         every : all lanes that a sweep may stop in; `lanes` by default.
         """
-        best: Judged | None = None
+        best: JudgedInputs | None = None
         for lane in lanes:
             best = self._linearise(lane, best)
         if best is None:
@@ -156,7 +156,7 @@ class Search:
             assert best is not None
         return best
 
-    def _sweep(self, lanes: list[int], best: Judged) -> Judged | None:
+    def _sweep(self, lanes: list[int], best: JudgedInputs) -> JudgedInputs | None:
         """The nearest verified input among evenly spread points nearer than the best so far; None if none verifies."""
         reach = float(self._distance(best.inputs)[0]) - _SETTLED
         if reach <= 0:
@@ -173,7 +173,7 @@ class Search:
         judged = self._judge(self._proposal + self._spans * np.array(goals), [lane], False)
         return judged.row(self._nearest(judged)) if (judged.margin >= 0).any() else None
 
-    def _climb(self, points: FloatArray, judged: Judged, reach: float) -> tuple[list[FloatArray], int]:
+    def _climb(self, points: FloatArray, judged: JudgedInputs, reach: float) -> tuple[list[FloatArray], int]:
         """Points at which the linearised parts would be satisfied, starting from the best two of some points that do
         not verify; and the lane of the stop."""
         margin = np.nan_to_num(judged.margin, nan=-np.inf)
@@ -184,7 +184,7 @@ class Search:
         _, goals = self._goals(points[[first, second]], int(lane))
         return [goal for goal in goals if goal is not None and np.hypot(*goal) < reach], int(lane)
 
-    def _goals(self, points: FloatArray, lane: int) -> tuple[Judged, list[FloatArray | None]]:
+    def _goals(self, points: FloatArray, lane: int) -> tuple[JudgedInputs, list[FloatArray | None]]:
         """Judge points (n, 2) and their neighbours in both directions, (3 n,). For each point, the nearest point to the
         proposal at which the linearised parts of the margin are satisfied, or None."""
         n = len(points)
@@ -211,7 +211,7 @@ class Search:
                 return found
             count = count * _STREWN // len(points)
 
-    def _linearise(self, lane: int, best: Judged | None, start: FloatArray | None = None) -> Judged | None:
+    def _linearise(self, lane: int, best: JudgedInputs | None, start: FloatArray | None = None) -> JudgedInputs | None:
         """The nearest verified input with a stop in that lane, if it is nearer than the best so far; otherwise the best
         so far. The search starts at the proposal, or at `start` (2,), in shares of the ranges."""
         z = np.clip(np.zeros(2) if start is None else start, self._low, self._high)
@@ -230,7 +230,7 @@ class Search:
             z = goal
         return best
 
-    def _scan(self, lanes: list[int], law: FloatArray) -> Judged:
+    def _scan(self, lanes: list[int], law: FloatArray) -> JudgedInputs:
         """The best of a fan of inputs and of rings around the proposal."""
         judged = self._judge(self._box(self._proposal + _FAN * (law - self._proposal)), lanes, False)
         if not (judged.margin >= 0).any():
@@ -247,7 +247,7 @@ class Search:
             step /= count
         return best
 
-    def _nearest(self, judged: Judged) -> int:
+    def _nearest(self, judged: JudgedInputs) -> int:
         """Index of the nearest verified input."""
         return int(np.where(judged.margin >= 0, self._distance(judged.inputs), np.inf).argmin())
 

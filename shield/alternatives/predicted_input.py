@@ -12,7 +12,7 @@ from mpc.filter.predictive_filter import PredictiveFilter
 from mpc.filter.problem import FilterProblem, FilterSettings
 from mpc.filter.program.road_step import StageModel
 from mpc.filter.solvers.guess import shifted
-from shield.certificate.road.memory import Instant
+from shield.certificate.road.memory import ObservedScene
 from shield.config import ShieldConfig
 
 __all__ = ["Predictor"]
@@ -42,7 +42,7 @@ class Predictor:
         """Compile the programs for a scene."""
         self._filter_for(scene).prepare(_NEAREST, curved=scene.road.bends is not None)
 
-    def plan(self, now: Instant, proposal: FloatArray, lane: int) -> FloatArray | None:
+    def plan(self, now: ObservedScene, proposal: FloatArray, lane: int) -> FloatArray | None:
         """Inputs (N, 2), near the proposal in the first stage; None if no inputs satisfy the constraints.
 
         Parameters

@@ -9,14 +9,14 @@ import numpy as np
 from dynamics.scenes.scene import Scene, Target
 from dynamics.state import RoadState, Vehicle
 
-__all__ = ["CLEAR", "GAIN", "IN_LANE", "OUTLOOK", "Order", "default_order", "lane_progress", "resolve"]
+__all__ = ["CLEAR", "GAIN", "IN_LANE", "RELATIVE_SPEED_WEIGHT", "Order", "default_order", "lane_progress", "resolve"]
 
 Order = Sequence[int] | Callable[[], Sequence[int] | None] | None
 """Alternatives in order of preference, or a function that is called only when an override is due."""
 
 IN_LANE = 0.625
 """Distance from a lane's centre within which a vehicle counts as in it, in widths of a lane."""
-OUTLOOK = 3.0
+RELATIVE_SPEED_WEIGHT = 3.0
 """Weight of a leader's relative speed against its distance [s]."""
 CLEAR = 1000.0
 """Progress of a lane with no vehicle ahead [m]."""
@@ -39,7 +39,7 @@ def _room(scene: Scene, lane: int) -> tuple[float, float]:
         return CLEAR, 0.0
     room = states[ahead, RoadState.S] - ego[RoadState.S]
     j = int(room.argmin())
-    progress = float(room[j] + OUTLOOK * (states[ahead, RoadState.SPEED][j] - ego[RoadState.SPEED]))
+    progress = float(room[j] + RELATIVE_SPEED_WEIGHT * (states[ahead, RoadState.SPEED][j] - ego[RoadState.SPEED]))
     if not scene.blurred:
         return progress, 0.0
     return progress, max(0.0, float(scene.others[ahead, Vehicle.LENGTH][j] - scene.ego[Vehicle.LENGTH]) / 2)

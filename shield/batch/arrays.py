@@ -11,50 +11,50 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import inlined, numbers_of
+from dynamics.compiled import kernel_inline, row_as_tuple
 from dynamics.highway_simulator.step_kernels import Worlds
-from dynamics.pass_by_pointer import Lent
+from dynamics.pass_by_pointer import Pointer
 from dynamics.state import BoolArray, FloatArray, IntArray
-from dynamics.traffic.occupancy import horizons, room_for
-from dynamics.traffic.rules_of_the_road import Rule
+from dynamics.traffic.occupancy import buffer_shape, horizons
+from dynamics.traffic.rules_of_the_road import RoadRule
 from dynamics.traffic.tables import bodies_of, motion_of
 from dynamics.vehicle.bicycle import MAX_SPEED
-from shield.batch.parameters import NOBODY, Law
+from shield.batch.parameters import NO_INDEX, BatchParameters
 from shield.certificate.road.clauses.footprint import Footprint
-from shield.certificate.road.clauses.others import Others, others_from
-from shield.certificate.road.clauses.parameters import Settings, settings_from
-from shield.certificate.road.clauses.workspace import Around, Desk, Ground, new_desk
+from shield.certificate.road.clauses.others import RoadVehicles, vehicles_from
+from shield.certificate.road.clauses.parameters import ClauseSettings, settings_from
+from shield.certificate.road.clauses.workspace import ClauseWorkspace, LaneState, SceneVehicles, new_clause_workspace
 
 __all__ = [
-    "Bench",
-    "Plans",
-    "Records",
-    "Room",
-    "Scene",
-    "Shields",
-    "bound_of",
+    "BatchCandidates",
+    "BatchMemory",
+    "BatchPointers",
+    "BatchRecords",
+    "BatchScene",
+    "BatchWorkspace",
+    "empty_memory",
     "empty_records",
-    "empty_shields",
-    "new_room",
+    "new_batch_workspace",
     "scene_of",
+    "without_precautions",
 ]
 
 _ROWS, _STATES = 7, 4
-_RULES = len(Rule)
+_RULES = len(RoadRule)
 
 
-class Shields(NamedTuple):
+class BatchMemory(NamedTuple):
     """Memory of e environments with m other bodies.
 
     The observation of the other bodies is kept for the last two scenes; `now` (e,) is the index of the later one.
 
     Attributes
     ----------
-    frame : last observed frame, (e,); `NOBODY` before the first. clock : number of frames since the reset, (e,).
+    frame : last observed frame, (e,); `NO_INDEX` before the first. clock : number of frames since the reset, (e,).
     stored : lane in which the stored fail-safe stops, (e,).
     ego, state : vehicle row (e, 7) and road state (e, 4). rows, states : of the others, (e, 2, m, 7), (e, 2, m, 4).
     marks, numbers, brakes, recent : of their `Tables`, (e, 2, ...).
-    of_others, flags : of `Others`, (e, 5, m) and (e, 2, 2 + 2 lanes, m).
+    of_others, flags : of `RoadVehicles`, (e, 5, m) and (e, 2, 2 + 2 lanes, m).
     slipping, slips : vehicles that may cut in, (e, 2 m, 4), and their number, (e,).
     visible, owned : state of the lanes, see `hold_lanes`, (e, lanes).
     owing, breaking, offenders : see `Watch`, (e, m). crashed : whether the ego had crashed, (e,).
@@ -87,7 +87,7 @@ class Shields(NamedTuple):
     by_rule: IntArray
 
 
-class Plans(NamedTuple):
+class BatchCandidates(NamedTuple):
     """Candidates, and the results for each, (n,).
 
     Attributes
@@ -112,20 +112,20 @@ class Plans(NamedTuple):
     vehicles: IntArray
 
 
-class Room(NamedTuple):
+class BatchWorkspace(NamedTuple):
     """Workspace of one thread.
 
     Attributes
     ----------
     desk : workspace of the clauses. path : (K, 4). plans : candidates.
-    ways, order : buffers of `dynamics.traffic.occupancy.look`, see `room_for`.
+    ways, order : buffers of `dynamics.traffic.occupancy.derive_tables`, see `buffer_shape`.
     flags, tempted, marks, numbers, nobody, grid : buffers for masks, lanes, actions and accelerations.
     suspect : vehicle that the last candidate of this scene failed for, and the frame, (2,).
     """
 
-    desk: Desk
+    desk: ClauseWorkspace
     path: FloatArray
-    plans: Plans
+    plans: BatchCandidates
     ways: FloatArray
     order: IntArray
     flags: BoolArray
@@ -137,12 +137,12 @@ class Room(NamedTuple):
     suspect: IntArray
 
 
-class Records(NamedTuple):
+class BatchRecords(NamedTuple):
     """Records of the last decision, (e,), and of each of its F frames, (e, F).
 
     Attributes
     ----------
-    broken : number of violations of each rule in the decision, (e, rules), in the order of `Rule`.
+    broken : number of violations of each rule in the decision, (e, rules), in the order of `RoadRule`.
     tiers, reasons, clauses : indices of `TIERS`, `REASONS` and `CLAUSES` of `shield.batch.codes`; likewise `tier`,
         `reason` and `clause`.
     """
@@ -165,51 +165,51 @@ class Records(NamedTuple):
     accelerations: FloatArray
 
 
-class Bench(NamedTuple):
+class BatchPointers(NamedTuple):
     """Pointers to everything that a decision reads and writes: the arrays of all environments, and of one thread."""
 
-    shields: Lent[Shields]
-    law: Lent[Law]
-    worlds: Lent[Worlds]
-    room: Lent[Room]
-    records: Lent[Records]
+    shields: Pointer[BatchMemory]
+    law: Pointer[BatchParameters]
+    worlds: Pointer[Worlds]
+    room: Pointer[BatchWorkspace]
+    records: Pointer[BatchRecords]
 
 
-class Scene(NamedTuple):
+class BatchScene(NamedTuple):
     """One scene as the clauses read it."""
 
     ego: FloatArray
     state: FloatArray
-    around: Around
-    ground: Ground
+    around: SceneVehicles
+    ground: LaneState
     slipping: FloatArray
     foot: Footprint
-    settings: Settings
+    settings: ClauseSettings
 
 
-@inlined
-def scene_of(shields: Shields, law: Law, e: int) -> Scene:
+@kernel_inline
+def scene_of(shields: BatchMemory, law: BatchParameters, e: int) -> BatchScene:
     """The last observed scene of one environment."""
     now = shields.now[e]
     marks, numbers, brakes = shields.marks[e, now], shields.numbers[e, now], shields.brakes[e, now]
     bodies = bodies_of(marks, numbers, brakes, shields.recent[e, now])
-    others: Others = others_from(bodies, shields.of_others[e], shields.flags[e, now])
+    others: RoadVehicles = vehicles_from(bodies, shields.of_others[e], shields.flags[e, now])
     rows, states = shields.rows[e, now], shields.states[e, now]
-    around = Around(rows, states, law.stretch, bodies, motion_of(law.motion), others)
-    ground = Ground(law.centers, shields.owned[e], shields.visible[e])
+    around = SceneVehicles(rows, states, law.stretch, bodies, motion_of(law.motion), others)
+    ground = LaneState(law.centers, shields.owned[e], shields.visible[e])
     slipping = shields.slipping[e, : shields.slips[e]]
-    foot, settings = Footprint(*numbers_of(law.size, 8)), settings_from(law.settings)
-    return Scene(shields.ego[e], shields.state[e], around, ground, slipping, foot, settings)
+    foot, settings = Footprint(*row_as_tuple(law.size, 8)), settings_from(law.settings)
+    return BatchScene(shields.ego[e], shields.state[e], around, ground, slipping, foot, settings)
 
 
-@inlined
-def bound_of(scene: Scene) -> Scene:
-    """The same without precautions, see `shield.certificate.road.verify.Surveyor.without_cut_ins`."""
+@kernel_inline
+def without_precautions(scene: BatchScene) -> BatchScene:
+    """The same without precautions, see `shield.certificate.road.verify.PathVerifier.without_cut_ins`."""
     none = scene.slipping[:0]
-    return Scene(scene.ego, scene.state, scene.around, scene.ground, none, scene.foot, scene.settings)
+    return BatchScene(scene.ego, scene.state, scene.around, scene.ground, none, scene.foot, scene.settings)
 
 
-def empty_shields(e: int, m: int, law: Law) -> Shields:
+def empty_memory(e: int, m: int, law: BatchParameters) -> BatchMemory:
     """Memory of e environments before their first scene."""
     lanes, (coming, past) = len(law.centers), horizons(law.numbers.dt)
     index, number, flag = np.intp, np.float64, np.bool_
@@ -217,9 +217,9 @@ def empty_shields(e: int, m: int, law: Law) -> Shields:
     def new(kind: Any, *shape: int) -> Any:
         return np.zeros((e, *shape), kind)
 
-    return Shields(
-        frame=new(index) + NOBODY,
-        stored=new(index) + NOBODY,
+    return BatchMemory(
+        frame=new(index) + NO_INDEX,
+        stored=new(index) + NO_INDEX,
         clock=new(index),
         now=new(index),
         ego=new(number, _ROWS),
@@ -245,14 +245,14 @@ def empty_shields(e: int, m: int, law: Law) -> Shields:
     )
 
 
-def new_room(m: int, law: Law, candidates: int) -> Room:
+def new_batch_workspace(m: int, law: BatchParameters, candidates: int) -> BatchWorkspace:
     """Workspace of one thread, for m other bodies and at most `candidates` candidates at a time."""
     numbers, lanes = law.numbers, len(law.centers)
     fastest = max(MAX_SPEED, float(law.target_speeds.max(initial=0.0))) + 10.0
     frames = numbers.period + math.ceil(fastest / (numbers.braking * numbers.dt)) + 2
     coming, _ = horizons(numbers.dt)
     n, index = candidates, np.intp
-    plans = Plans(
+    plans = BatchCandidates(
         lanes=np.zeros(n, index),
         fails=np.zeros(n, index),
         speeds=np.zeros(n),
@@ -265,11 +265,11 @@ def new_room(m: int, law: Law, candidates: int) -> Room:
         clauses=np.zeros(n, index),
         vehicles=np.zeros(n, index),
     )
-    return Room(
-        desk=new_desk(m, frames, numbers.dt),
+    return BatchWorkspace(
+        desk=new_clause_workspace(m, frames, numbers.dt),
         path=np.zeros((frames, 4)),
         plans=plans,
-        ways=np.zeros(room_for(m, coming)),
+        ways=np.zeros(buffer_shape(m, coming)),
         order=np.zeros(m, index),
         flags=np.zeros((2, m), np.bool_),
         tempted=np.zeros((m, 4), np.bool_),
@@ -277,11 +277,11 @@ def new_room(m: int, law: Law, candidates: int) -> Room:
         numbers=np.zeros((2, max(len(law.labels), 1))),
         nobody=np.zeros(0, np.bool_),
         grid=np.zeros((3, candidates)),
-        suspect=np.full(2, NOBODY),
+        suspect=np.full(2, NO_INDEX),
     )
 
 
-def empty_records(e: int, frames: int) -> Records:
+def empty_records(e: int, frames: int) -> BatchRecords:
     """Records for e environments and decisions of `frames` frames."""
     index = np.intp
 
@@ -291,7 +291,7 @@ def empty_records(e: int, frames: int) -> Records:
     def each() -> IntArray:
         return np.zeros((e, frames), index)
 
-    return Records(
+    return BatchRecords(
         proposed=one(),
         executed=one(),
         reason=one(),

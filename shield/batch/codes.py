@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from dynamics.state import BoolArray, FloatArray, IntArray
-from dynamics.traffic.rules_of_the_road import Rule
-from shield.certificate.road.clauses.all_clauses import NOTHING_BINDS, ROOM_BINDS, SEPARATION_BINDS, SLIP_IN_BINDS
+from dynamics.traffic.rules_of_the_road import RoadRule
+from shield.certificate.road.clauses.all_clauses import CUT_IN_BINDS, NOTHING_BINDS, ROOM_BINDS, SEPARATION_BINDS
 from shield.decision import ROUNDING, Reason, Tier
 
 __all__ = ["CLAUSES", "FALLBACKS", "OVERRIDES", "REASONS", "TIERS", "certified", "rules_in"]
@@ -16,7 +16,7 @@ FALLBACKS = np.array([tier.fallback for tier in TIERS])
 OVERRIDES = np.array([tier not in (Tier.OFF, Tier.PASSED) for tier in TIERS])
 """For each tier, whether it is a fallback, and whether it replaces the proposal."""
 _CERTIFIED = np.array([tier.certified for tier in TIERS])
-CLAUSES = {NOTHING_BINDS: "", SEPARATION_BINDS: "separation", SLIP_IN_BINDS: "slip-in", ROOM_BINDS: "room"}
+CLAUSES = {NOTHING_BINDS: "", SEPARATION_BINDS: "separation", CUT_IN_BINDS: "slip-in", ROOM_BINDS: "room"}
 
 
 def certified(tiers: IntArray, reasons: IntArray, margins: FloatArray) -> BoolArray:
@@ -27,4 +27,4 @@ def certified(tiers: IntArray, reasons: IntArray, margins: FloatArray) -> BoolAr
 
 def rules_in(broken: IntArray) -> dict[str, int]:
     """Number of violations of each rule, by its name, from a row of `Records.broken`, (rules,)."""
-    return {str(rule): int(count) for rule, count in zip(Rule, broken, strict=True) if count}
+    return {str(rule): int(count) for rule, count in zip(RoadRule, broken, strict=True) if count}

@@ -1,31 +1,31 @@
-"""One decision in one of many environments, as by `shield.pipelines.meta_actions.MetaActions`."""
+"""One decision in one of many environments, as by `shield.pipelines.meta_actions.MetaActionPipeline`."""
 
 from __future__ import annotations
 
 import math
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.layout import SPEED, TARGET, TARGET_SPEED, X, Y
 from dynamics.highway_simulator.scene import next_target_speed
 from dynamics.highway_simulator.step_kernels import Worlds
-from dynamics.pass_by_pointer import Lent, held, lent
+from dynamics.pass_by_pointer import Pointer, address_of, dereference
 from dynamics.roads.straight import nearest
 from dynamics.state import FloatArray, IntArray
-from shield.alternatives.preference import CLEAR, GAIN, IN_LANE, OUTLOOK
-from shield.batch.arrays import Bench, Records, Room, Scene, Shields, scene_of
+from shield.alternatives.preference import CLEAR, GAIN, IN_LANE, RELATIVE_SPEED_WEIGHT
+from shield.batch.arrays import BatchMemory, BatchPointers, BatchRecords, BatchScene, BatchWorkspace, scene_of
 from shield.batch.codes import REASONS, TIERS
 from shield.batch.observing import observe
-from shield.batch.parameters import NOBODY, Law
+from shield.batch.parameters import NO_INDEX, BatchParameters
 from shield.batch.repairing import fail_lanes, held_back, hold_back
-from shield.batch.supervising import forgive, keep_stored, violated
+from shield.batch.supervising import clear_violators, judge_stored, violated
 from shield.batch.verifying import frames_of, verify
 from shield.certificate.road.clauses.all_clauses import NOTHING_BINDS
 from shield.certificate.road.verify import ROUNDING
 from shield.decision import Reason, Tier
 from shield.pipelines.frames import CAPS
-from shield.rule_kernels import alongside, breaks_rss, time_is_short
+from shield.rule_kernels import alongside, time_is_short, violates_rss
 
-__all__ = ["decide", "objects", "target_of", "verifies"]
+__all__ = ["decide", "is_blocked_alongside", "target_of", "verifies"]
 
 _LEFT, _RIGHT, _FASTER = 0, 2, 3
 _PASSED, _GOVERNED, _ALTERNATIVE = TIERS.index(Tier.PASSED), TIERS.index(Tier.GOVERNED), TIERS.index(Tier.ALTERNATIVE)
@@ -36,9 +36,9 @@ _PRECAUTION = REASONS.index(Reason.PRECAUTION)
 _BAD_SCENE, _BAD_ACTION = REASONS.index(Reason.BAD_SCENE), REASONS.index(Reason.BAD_ACTION)
 
 
-@inlined
-def target_of(worlds: Worlds, law: Law, e: int, action: int) -> tuple[int, float]:
-    """Lane and speed that the ego's controllers track after an action; see `Scene.target_of`."""
+@kernel_inline
+def target_of(worlds: Worlds, law: BatchParameters, e: int, action: int) -> tuple[int, float]:
+    """Lane and speed that the ego's controllers track after an action; see `BatchScene.target_of`."""
     label, lane, speed = law.labels[action], worlds.g[e, TARGET, 0], worlds.f[e, TARGET_SPEED, 0]
     if label >= _FASTER:
         return lane, next_target_speed(law.target_speeds, worlds.f[e, SPEED, 0], label)
@@ -50,30 +50,30 @@ def target_of(worlds: Worlds, law: Law, e: int, action: int) -> tuple[int, float
     return lane, speed
 
 
-@inlined
-def objects(shields: Shields, law: Law, e: int, lane: int) -> bool:
+@kernel_inline
+def is_blocked_alongside(shields: BatchMemory, law: BatchParameters, e: int, lane: int) -> bool:
     """Whether a vehicle alongside forbids that lane."""
     now = shields.now[e]
     rows, states = shields.rows[e, now], shields.states[e, now]
     return alongside(shields.ego[e], shields.state[e], rows, states, law.centers, lane, law.numbers.longitudinal)
 
 
-@inlined
-def _why(shields: Shields, law: Law, e: int, lane: int, speed: float) -> int:
+@kernel_inline
+def _why(shields: BatchMemory, law: BatchParameters, e: int, lane: int, speed: float) -> int:
     """Recorded reason for a target that did not verify."""
     now, x = shields.now[e], law.numbers
     rows, states, ego, state = shields.rows[e, now], shields.states[e, now], shields.ego[e], shields.state[e]
     braking = (x.braking, x.leader_braking, x.follower_braking)
     response, more = (x.response, x.reaction), x.follower_acceleration
-    if breaks_rss(ego, state, rows, states, law.centers, x.width, lane, speed, braking, response, more):
+    if violates_rss(ego, state, rows, states, law.centers, x.width, lane, speed, braking, response, more):
         return _RSS
     if time_is_short(ego, state, rows, states, law.centers, x.width, lane, speed, x.ttc):
         return _TTC
     return _UNVERIFIED
 
 
-@inlined
-def _progress(shields: Shields, law: Law, e: int, lane: int) -> float:
+@kernel_inline
+def _progress(shields: BatchMemory, law: BatchParameters, e: int, lane: int) -> float:
     """See `shield.alternatives.preference.lane_progress`."""
     states, state, room, faster = shields.states[e, shields.now[e]], shields.state[e], math.inf, 0.0
     for i in range(states.shape[0]):
@@ -81,11 +81,19 @@ def _progress(shields: Shields, law: Law, e: int, lane: int) -> float:
         beside = abs(states[i, 1] - law.centers[lane]) < IN_LANE * law.numbers.width
         if beside and states[i, 0] > state[0] and ahead < room:
             room, faster = ahead, states[i, 3] - state[3]
-    return CLEAR if room == math.inf else room + OUTLOOK * faster
+    return CLEAR if room == math.inf else room + RELATIVE_SPEED_WEIGHT * faster
 
 
-@inlined
-def _default_order(shields: Shields, law: Law, worlds: Worlds, e: int, proposed: int, room: Room, out: IntArray) -> int:
+@kernel_inline
+def _default_order(
+    shields: BatchMemory,
+    law: BatchParameters,
+    worlds: Worlds,
+    e: int,
+    proposed: int,
+    room: BatchWorkspace,
+    out: IntArray,
+) -> int:
     """Fill in `shield.alternatives.preference.default_order`. Return the number of actions."""
     labels, numbers, targets = law.labels, law.numbers, room.marks[5]
     here = _progress(shields, law, e, nearest(law.centers, shields.state[e, 1]))
@@ -106,16 +114,16 @@ def _default_order(shields: Shields, law: Law, worlds: Worlds, e: int, proposed:
             count += 1
         if better:
             for a in (numbers.faster, numbers.idle, numbers.slower):
-                if a not in (NOBODY, proposed) and (a != numbers.slower or labels[a] == 4):
+                if a not in (NO_INDEX, proposed) and (a != numbers.slower or labels[a] == 4):
                     out[count] = a
                     count += 1
     return count
 
 
-@uncounted
+@kernel_no_refcount
 def verifies(
-    bench: Bench,
-    scene: Lent[Scene],
+    bench: BatchPointers,
+    scene: Pointer[BatchScene],
     e: int,
     lane: int,
     speed: float,
@@ -128,16 +136,16 @@ def verifies(
 
     With `lasting` frames, a target is refused if it is expected to need an acceleration cap within the decision.
     """
-    law, room = held(bench.law), held(bench.room)
+    law, room = dereference(bench.law), dereference(bench.room)
     plans, fails, x = room.plans, room.marks[2], law.numbers
-    n = fail_lanes(held(bench.shields), law, e, lane, fails)
+    n = fail_lanes(dereference(bench.shields), law, e, lane, fails)
     for i in range(n):
         plans.lanes[0], plans.fails[0], plans.speeds[0] = lane, fails[i], speed
-        if verify(bench, scene, x.one, x.one, frames, x.none, room.nobody, x.one) == NOBODY:
+        if verify(bench, scene, x.one, x.one, frames, x.none, room.nobody, x.one) == NO_INDEX:
             continue
         found[0], found[1], found[2], found[3] = plans.margins[0], fails[i], plans.clauses[0], plans.vehicles[0]
         if lasting > 0:
-            if verify(bench, scene, x.one, x.period, lasting, x.period, room.nobody, x.one) == NOBODY:
+            if verify(bench, scene, x.one, x.period, lasting, x.period, room.nobody, x.one) == NO_INDEX:
                 continue
             if plans.margins[0] < found[0]:
                 found[0], found[2], found[3] = plans.margins[0], plans.clauses[0], plans.vehicles[0]
@@ -145,8 +153,8 @@ def verifies(
     return False
 
 
-@uncounted
-def _speeds(law: Law, v: float, label: int, speed: float, room: Room) -> int:
+@kernel_no_refcount
+def _speeds(law: BatchParameters, v: float, label: int, speed: float, room: BatchWorkspace) -> int:
     """Speeds at which a target is tried, ascending, in `room.grid[1]`. For a lane change these include the capped
     speeds. Return their number."""
     out, n = room.grid[1], 1
@@ -165,28 +173,34 @@ def _speeds(law: Law, v: float, label: int, speed: float, room: Room) -> int:
     return n
 
 
-@uncounted
+@kernel_no_refcount
 def _first_action(
-    bench: Bench, scene: Lent[Scene], e: int, actions: IntArray, count: int, forecast: int, found: FloatArray
+    bench: BatchPointers,
+    scene: Pointer[BatchScene],
+    e: int,
+    actions: IntArray,
+    count: int,
+    forecast: int,
+    found: FloatArray,
 ) -> int:
     """The first action that verifies, at the speed with the largest margin; otherwise -1. `found` as in `verifies`."""
-    shields, law, room = held(bench.shields), held(bench.law), held(bench.room)
+    shields, law, room = dereference(bench.shields), dereference(bench.law), dereference(bench.room)
     v, most, tried, wanted = shields.ego[e, 3], -math.inf, room.grid[1], room.numbers[0]
     for k in range(count):
         a = actions[k]
-        if objects(shields, law, e, room.marks[5, a]):
+        if is_blocked_alongside(shields, law, e, room.marks[5, a]):
             continue
         n = _speeds(law, v, law.labels[a], wanted[a], room)
         most = max(most, tried[n - 1])
     if most == -math.inf:
-        return NOBODY
+        return NO_INDEX
     frames = frames_of(law, v, most, law.numbers.one)
     lasting = frames_of(law, v, most, law.numbers.period) if forecast > 0 else 0
     one = room.grid[2, :4]
     for k in range(count):
         a = actions[k]
         lane, best = room.marks[5, a], False
-        if objects(shields, law, e, lane):
+        if is_blocked_alongside(shields, law, e, lane):
             continue
         n = _speeds(law, v, law.labels[a], wanted[a], room)
         for i in range(n):
@@ -196,45 +210,47 @@ def _first_action(
                     found[c] = one[c]
         if best:
             return a
-    return NOBODY
+    return NO_INDEX
 
 
-@inlined
-def _keep(shields: Shields, records: Records, e: int, tier: int, reason: int, executed: int, found: FloatArray) -> None:
+@kernel_inline
+def _keep(
+    shields: BatchMemory, records: BatchRecords, e: int, tier: int, reason: int, executed: int, found: FloatArray
+) -> None:
     """Record and store a verified plan."""
     records.tier[e], records.reason[e], records.executed[e] = tier, reason, executed
     records.margin[e], records.clause[e], records.vehicle[e] = found[0], int(found[2]), int(found[3])
     shields.stored[e] = int(found[1])
-    forgive(shields, e)
+    clear_violators(shields, e)
 
 
-@inlined
-def _only_refused(bench: Bench, e: int) -> bool:
+@kernel_inline
+def _only_refused(bench: BatchPointers, e: int) -> bool:
     """Whether only a precaution refuses all plans: the stored plan still verifies, and there is no violator."""
-    shields = held(bench.shields)
-    if shields.stored[e] == NOBODY or violated(shields, e):
+    shields = dereference(bench.shields)
+    if shields.stored[e] == NO_INDEX or violated(shields, e):
         return False
-    return keep_stored(bench, e) >= -ROUNDING
+    return judge_stored(bench, e) >= -ROUNDING
 
 
-@inlined
-def _give_up(shields: Shields, law: Law, records: Records, e: int, reason: int) -> None:
+@kernel_inline
+def _give_up(shields: BatchMemory, law: BatchParameters, records: BatchRecords, e: int, reason: int) -> None:
     """Slow down; the frames continue the stored plan."""
-    records.tier[e] = _EMERGENCY if shields.stored[e] == NOBODY else _STORED
+    records.tier[e] = _EMERGENCY if shields.stored[e] == NO_INDEX else _STORED
     records.reason[e], records.executed[e] = reason, law.numbers.slower
-    records.margin[e], records.clause[e], records.vehicle[e] = math.nan, NOTHING_BINDS, NOBODY
+    records.margin[e], records.clause[e], records.vehicle[e] = math.nan, NOTHING_BINDS, NO_INDEX
 
 
-@inlined
+@kernel_inline
 def _alternatives(
-    shields: Shields,
-    law: Law,
+    shields: BatchMemory,
+    law: BatchParameters,
     worlds: Worlds,
     e: int,
     proposed: int,
     order: IntArray,
     changes: bool,
-    room: Room,
+    room: BatchWorkspace,
     out: IntArray,
 ) -> int:
     """Fill in the alternatives to the proposal: in the policy's order, or in the documented one. Return their
@@ -261,8 +277,8 @@ def _alternatives(
     return kept
 
 
-@uncounted
-def decide(bench: Bench, e: int, proposed: int, order: IntArray) -> None:
+@kernel_no_refcount
+def decide(bench: BatchPointers, e: int, proposed: int, order: IntArray) -> None:
     """Decide about one meta-action, into `records`.
 
     Parameters
@@ -271,8 +287,8 @@ def decide(bench: Bench, e: int, proposed: int, order: IntArray) -> None:
     order : the policy's order of preference among the other actions, up to the first negative entry; if empty, the
         documented order.
     """
-    shields, law, worlds = held(bench.shields), held(bench.law), held(bench.worlds)
-    room, records = held(bench.room), held(bench.records)
+    shields, law, worlds = dereference(bench.shields), dereference(bench.law), dereference(bench.worlds)
+    room, records = dereference(bench.room), dereference(bench.records)
     labels, numbers, wanted = law.labels, law.numbers, room.numbers[0]
     lanes, actions, found = room.marks[5], room.marks[4], room.grid[2, 4:8]
     count = labels.shape[0]
@@ -283,12 +299,12 @@ def decide(bench: Bench, e: int, proposed: int, order: IntArray) -> None:
     if not observe(bench, e):
         _give_up(shields, law, records, e, _BAD_SCENE)
         return
-    scene = lent(scene_of(shields, law, e))
+    scene = address_of(scene_of(shields, law, e))
     for a in range(count):
         lanes[a], wanted[a] = target_of(worlds, law, e, a)
     lane, speed, v = lanes[proposed], wanted[proposed], shields.ego[e, 3]
     changes, reason = lane != nearest(law.centers, shields.state[e, 1]), _BUFFER
-    if not objects(shields, law, e, lane):
+    if not is_blocked_alongside(shields, law, e, lane):
         # The frames can cap the acceleration of a longitudinal proposal. A lane change should verify for the whole
         # decision.
         lasting = frames_of(law, v, speed, numbers.period) if changes else 0
@@ -299,24 +315,24 @@ def decide(bench: Bench, e: int, proposed: int, order: IntArray) -> None:
     if changes:
         # A lane change that verifies at a lower speed.
         actions[0] = proposed
-        if _first_action(bench, scene, e, actions, numbers.one, numbers.one, found) != NOBODY:
+        if _first_action(bench, scene, e, actions, numbers.one, numbers.one, found) != NO_INDEX:
             _keep(shields, records, e, _GOVERNED, reason, proposed, found)
             return
     n = _alternatives(shields, law, worlds, e, proposed, order, changes, room, actions)
     executed = _first_action(bench, scene, e, actions, n, numbers.one, found)
-    if executed != NOBODY:
+    if executed != NO_INDEX:
         _keep(shields, records, e, _ALTERNATIVE, reason, executed, found)
         return
     # Without a policy order, an acceleration cap for the proposal comes before the remaining actions.
     for executed in (
-        NOBODY if changes else proposed,
+        NO_INDEX if changes else proposed,
         numbers.idle,
         numbers.slower if labels[numbers.slower] == 4 else -1,
     ):
-        if executed == NOBODY:
+        if executed == NO_INDEX:
             continue
         kept = hold_back(bench, scene, e, lanes[executed], wanted[executed], numbers.one)
-        if kept != NOBODY:
+        if kept != NO_INDEX:
             plans = room.plans
             found[0], found[1] = plans.margins[kept], plans.fails[kept]
             found[2], found[3] = plans.clauses[kept], plans.vehicles[kept]
@@ -330,7 +346,7 @@ def decide(bench: Bench, e: int, proposed: int, order: IntArray) -> None:
             actions[n] = a
             n += 1
     executed = _first_action(bench, scene, e, actions, n, numbers.none, found)
-    if executed != NOBODY:
+    if executed != NO_INDEX:
         _keep(shields, records, e, _ALTERNATIVE, reason, executed, found)
         return
     _give_up(shields, law, records, e, _PRECAUTION if _only_refused(bench, e) else _NO_PLAN)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.highway_simulator.env import CompiledHighwayEnv
-from dynamics.highway_simulator.requests import steps_asked
+from dynamics.highway_simulator.requests import checked_steps
 from dynamics.highway_simulator.simulator import Simulator
 from dynamics.highway_simulator.step_kernels import Worlds, look
 from dynamics.slices import Slices
@@ -44,7 +44,7 @@ class FilteredHighways(ABC):
     Attributes
     ----------
     simulator : the traffic.
-    records : the last decisions, and their frames (`shield.batch.arrays.Records`).
+    records : the last decisions, and their frames (`shield.batch.arrays.BatchRecords`).
     rows : vehicle rows after each frame of the last decision, (e, F, m, 7), see `CompiledHighwayEnv.frames`.
     off_road : whether the ego was off the road then, (e, F).
     """
@@ -198,6 +198,6 @@ class FilteredHighways(ABC):
         def part(k: int, first: int, last: int) -> None:
             self._decide(k, first, last, given, ranked, again)
 
-        self._slices.run(part, steps_asked(self.num_envs, which))
+        self._slices.run(part, checked_steps(self.num_envs, which))
         shown = self.simulator.seen
         return shown.observations, shown.reward, shown.terminated, shown.truncated

@@ -11,11 +11,11 @@ from dynamics.highway_simulator.layout import LENGTH, WIDTH
 from dynamics.highway_simulator.step_kernels import Worlds
 from dynamics.roads.straight import StraightRoad
 from dynamics.state import BoolArray, IntArray
-from shield.batch.arrays import Shields, empty_shields, new_room
+from shield.batch.arrays import BatchMemory, empty_memory, new_batch_workspace
 from shield.batch.filtered import FilteredHighways
 from shield.batch.masking import mask_all
-from shield.batch.observing import forget
-from shield.batch.parameters import Law, law_of
+from shield.batch.observing import reset_memory
+from shield.batch.parameters import BatchParameters, batch_parameters_of
 from shield.batch.step_kernels import step_all_shielded
 from shield.config import ShieldConfig
 from shield.pipelines.frames import ACCELERATIONS
@@ -42,7 +42,7 @@ class ShieldedHighways(FilteredHighways):
     Attributes
     ----------
     simulator, records, rows, off_road : as in `FilteredHighways`.
-    shields : memory of the environments (`shield.batch.arrays.Shields`).
+    shields : memory of the environments (`shield.batch.arrays.BatchMemory`).
 
     Examples
     --------
@@ -65,17 +65,17 @@ class ShieldedHighways(FilteredHighways):
         lanes = scenario.config["lanes_count"]
         road = StraightRoad.from_network(RoadNetwork.straight_road_network(lanes, speed_limit=30))
         length, width = float(worlds.p[0, LENGTH, 0]), float(worlds.p[0, WIDTH, 0])
-        self.law: Law = law_of(self.config, scenario, road, length, width)
+        self.law: BatchParameters = batch_parameters_of(self.config, scenario, road, length, width)
         others = scenario.bodies - 1
-        self.shields = empty_shields(self.num_envs, others, self.law)
+        self.shields = empty_memory(self.num_envs, others, self.law)
         self._frequency = float(scenario.config["simulation_frequency"])
         self._rooms = [
-            (self.simulator.new_work(), new_room(others, self.law, 9 * ACCELERATIONS), np.zeros(2))
+            (self.simulator.new_work(), new_batch_workspace(others, self.law, 9 * ACCELERATIONS), np.zeros(2))
             for _ in range(threads)
         ]
 
     def _forget(self, e: int) -> None:
-        forget(self.shields, e)
+        reset_memory(self.shields, e)
 
     def _decide(self, part: int, first: int, last: int, actions: IntArray, orders: IntArray, again: bool) -> None:
         simulator, (work, room, given) = self.simulator, self._rooms[part]
@@ -104,6 +104,6 @@ class ShieldedHighways(FilteredHighways):
 
     def _mask(self, part: int, first: int, last: int, masks: BoolArray) -> None:
         # An observation changes the memory, for example the count of violations. So the mask works on a copy.
-        shields = Shields._make(array[first:last].copy() for array in self.shields)
+        shields = BatchMemory._make(array[first:last].copy() for array in self.shields)
         worlds = Worlds._make(array[first:last] for array in self.worlds)
         mask_all(worlds, shields, self.law, self._rooms[part][1], self.records, masks[first:last])

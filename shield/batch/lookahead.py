@@ -10,7 +10,7 @@ import gymnasium as gym
 from dynamics.highway_simulator.simulator import Simulator
 from mpc.lookahead_policy import LookaheadPolicy
 from shield.batch.highways import ShieldedHighways
-from shield.batch.observing import forget
+from shield.batch.observing import reset_memory
 from shield.config import ShieldConfig
 
 __all__ = ["ShieldedLookaheadPolicy"]
@@ -58,4 +58,4 @@ class ShieldedLookaheadPolicy(LookaheadPolicy):
 
     def _begin(self, start: Simulator, parents: Any) -> None:
         super()._begin(start, parents)
-        forget(parents.shields, 0)
+        reset_memory(parents.shields, 0)

@@ -5,31 +5,31 @@ from __future__ import annotations
 
 import math
 
-from dynamics.compiled import inlined, numbers_of, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount, row_as_tuple
 from dynamics.highway_simulator.layout import TARGET_SPEED
 from dynamics.highway_simulator.step_kernels import Worlds, write_row
-from dynamics.pass_by_pointer import held, lent
+from dynamics.pass_by_pointer import address_of, dereference
 from dynamics.roads.straight import nearest
 from dynamics.state import FloatArray
-from dynamics.traffic.occupancy import look
-from dynamics.traffic.rules_of_the_road import Ego, Rule, judge_motions
+from dynamics.traffic.occupancy import derive_tables
+from dynamics.traffic.rules_of_the_road import EgoFootprint, RoadRule, check_motions
 from dynamics.traffic.tables import bodies_of
 from dynamics.vehicle.controllers import KP_SPEED
-from shield.batch.arrays import Bench, Room, Shields, scene_of
-from shield.batch.parameters import NOBODY, Law
+from shield.batch.arrays import BatchMemory, BatchPointers, BatchWorkspace, scene_of
+from shield.batch.parameters import NO_INDEX, BatchParameters
 from shield.batch.verifying import frames_of, verify
-from shield.certificate.road.clauses.followers import counted_on, hold_lanes
+from shield.certificate.road.clauses.followers import mark_relied_on, update_lanes
 from shield.certificate.road.clauses.footprint import Footprint
-from shield.certificate.road.clauses.others import TOUCH, others_from
-from shield.certificate.road.clauses.scene import seen
-from shield.certificate.road.monitor import in_the_way_now, stayed
+from shield.certificate.road.clauses.others import TOUCH, vehicles_from
+from shield.certificate.road.clauses.scene import prepare_scene
+from shield.certificate.road.monitor import mark_touching, update_obligations
 
-__all__ = ["forget", "observe", "stop_in"]
+__all__ = ["observe", "reset_memory", "set_stop_candidate"]
 
-_RULES = len(Rule)
+_RULES = len(RoadRule)
 
 
-@inlined
+@kernel_inline
 def _row(worlds: Worlds, e: int, i: int, row: FloatArray, state: FloatArray) -> bool:
     """Write a body as a vehicle row and, on a straight road along x, as a road state. Return whether all its numbers
     are finite."""
@@ -38,32 +38,37 @@ def _row(worlds: Worlds, e: int, i: int, row: FloatArray, state: FloatArray) -> 
     return math.isfinite(row[0] + row[1] + row[2] + row[3] + row[4] + row[5])
 
 
-@uncounted
-def forget(shields: Shields, e: int) -> None:
+@kernel_no_refcount
+def reset_memory(shields: BatchMemory, e: int) -> None:
     """Reset the memory of one environment for a new episode."""
-    shields.frame[e] = shields.stored[e] = NOBODY
+    shields.frame[e] = shields.stored[e] = NO_INDEX
     shields.clock[e] = shields.offences[e] = 0
     shields.crashed[e] = False
     for k in range(_RULES):
         shields.by_rule[e, k] = 0
 
 
-@inlined
-def stop_in(shields: Shields, law: Law, e: int, lane: int, room: Room) -> int:
+@kernel_inline
+def set_stop_candidate(shields: BatchMemory, law: BatchParameters, e: int, lane: int, room: BatchWorkspace) -> int:
     """Set candidate 0 to braking to a stop in a lane from now on. Return its number of frames."""
     plans, numbers, v = room.plans, law.numbers, shields.state[e, 3]
     plans.lanes[0], plans.fails[0], plans.speeds[0] = lane, lane, v - numbers.braking / KP_SPEED
     return frames_of(law, v, plans.speeds[0], numbers.one)
 
 
-@uncounted
-def observe(bench: Bench, e: int) -> bool:
+@kernel_no_refcount
+def observe(bench: BatchPointers, e: int) -> bool:
     """Observe the scene of one environment, once a frame. Return False, and change nothing, if it is not finite."""
-    shields, law, worlds, room = held(bench.shields), held(bench.law), held(bench.worlds), held(bench.room)
+    shields, law, worlds, room = (
+        dereference(bench.shields),
+        dereference(bench.law),
+        dereference(bench.worlds),
+        dereference(bench.room),
+    )
     if shields.frame[e] == shields.clock[e]:
         return True
     old = shields.now[e]
-    new, first = 1 - old, shields.frame[e] == NOBODY
+    new, first = 1 - old, shields.frame[e] == NO_INDEX
     rows, states, ego, state = shields.rows[e, new], shields.states[e, new], shields.ego[e], shields.state[e]
     m, lanes, numbers, centers = rows.shape[0], law.centers.shape[0], law.numbers, law.centers
     finite = math.isfinite(worlds.f[e, TARGET_SPEED, 0]) and _row(worlds, e, 0, ego, state)
@@ -89,10 +94,10 @@ def observe(bench: Bench, e: int) -> bool:
     half = 0.5 * (ego[4] * abs(math.sin(state[2])) + ego[5] * abs(math.cos(state[2])))
     touch, leave = TOUCH + half, 0.5 * numbers.width + half
     visible, owned, stored = shields.visible[e], shields.owned[e], shields.stored[e]
-    hold_lanes(
+    update_lanes(
         state[1], centers, 1, law.settings[0], touch, leave, stored, first, visible, owned, shields.owing[e], coming
     )
-    look(
+    derive_tables(
         rows,
         states,
         law.growth,
@@ -113,7 +118,7 @@ def observe(bench: Bench, e: int) -> bool:
         room.ways,
     )
     flags = shields.flags[e, new]
-    shields.slips[e] = seen(
+    shields.slips[e] = prepare_scene(
         rows,
         states,
         marks,
@@ -127,7 +132,7 @@ def observe(bench: Bench, e: int) -> bool:
         law.settings,
         owned,
         visible,
-        (stored, NOBODY),
+        (stored, NO_INDEX),
         shields.owing[e, :known],
         coming,
         shields.of_others[e],
@@ -136,7 +141,7 @@ def observe(bench: Bench, e: int) -> bool:
         room.tempted,
     )
     shields.now[e], shields.frame[e] = new, shields.clock[e]
-    room.desk.swept[0], room.suspect[0] = 0, NOBODY
+    room.desk.swept[0], room.suspect[0] = 0, NO_INDEX
     for j in range(m):
         room.desk.done[0, j] = room.desk.done[1, j] = 0
     crashed = ego[6] > 0
@@ -147,7 +152,7 @@ def observe(bench: Bench, e: int) -> bool:
         shields.crashed[e] = crashed
         return True
     along, across = 0.5 * ego[4], 0.5 * ego[5]
-    world = Ego(
+    world = EgoFootprint(
         ego[0],
         ego[1],
         ego[2],
@@ -160,7 +165,7 @@ def observe(bench: Bench, e: int) -> bool:
         crashed,
     )
     broken, grown, owing = room.marks[0, :m], room.marks[1, :m], room.flags[0]
-    judge_motions(
+    check_motions(
         rows0,
         states0,
         shields.marks[e, old],
@@ -184,16 +189,16 @@ def observe(bench: Bench, e: int) -> bool:
     counted, flags0 = room.flags[1], shields.flags[e, old]
     for i in range(m):
         counted[i] = False
-    if stored != NOBODY:
-        others = others_from(bodies_of(marks, tables, brakes, recent), shields.of_others[e], flags)
-        foot, plan, followers = Footprint(*numbers_of(law.size, 8)), (stored, NOBODY), (flags0[0], flags0[1])
-        counted_on(others, state, foot, centers, plan, owned, followers, counted)
-    some, more = stayed(shields.owing[e], counted, flags[0], flags[1], broken, grown, owing)
+    if stored != NO_INDEX:
+        others = vehicles_from(bodies_of(marks, tables, brakes, recent), shields.of_others[e], flags)
+        foot, plan, followers = Footprint(*row_as_tuple(law.size, 8)), (stored, NO_INDEX), (flags0[0], flags0[1])
+        mark_relied_on(others, state, foot, centers, plan, owned, followers, counted)
+    some, more = update_obligations(shields.owing[e], counted, flags[0], flags[1], broken, grown, owing)
     if more:
         # A vehicle that takes more room than before has to leave the ego's fail-safe its room.
-        some = in_the_way_now(world, rows, numbers.dt, grown, broken) or some
-        frames = stop_in(shields, law, e, nearest(centers, state[1]) if stored == NOBODY else stored, room)
-        scene, one, none = lent(scene_of(shields, law, e)), numbers.one, numbers.none
+        some = mark_touching(world, rows, numbers.dt, grown, broken) or some
+        frames = set_stop_candidate(shields, law, e, nearest(centers, state[1]) if stored == NO_INDEX else stored, room)
+        scene, one, none = address_of(scene_of(shields, law, e)), numbers.one, numbers.none
         verify(bench, scene, one, one, frames, none, room.nobody, none)
         for n in range(room.desk.found[0]):
             j = room.desk.near[n]

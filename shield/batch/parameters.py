@@ -17,13 +17,13 @@ from shield.certificate.road.clauses.parameters import settings_of
 from shield.certificate.road.verify import footprint_of
 from shield.config import ShieldConfig
 
-__all__ = ["NOBODY", "Law", "Numbers", "law_of"]
+__all__ = ["NO_INDEX", "BatchParameters", "ScalarParameters", "batch_parameters_of"]
 
-NOBODY = -1
+NO_INDEX = -1
 """Stands for no vehicle, no lane, no frame, no action."""
 
 
-class Numbers(NamedTuple):
+class ScalarParameters(NamedTuple):
     """Scalar settings.
 
     Attributes
@@ -33,7 +33,7 @@ class Numbers(NamedTuple):
     width, length : of a lane and of the road [m]. longitudinal, lateral : buffer [m].
     leader_braking, follower_braking, follower_acceleration : of the RSS rule [m/s^2].
     response, reaction : response times of the ego and of a follower [s]. ttc : least time to collision [s].
-    slower, idle, faster : index of each action, or `NOBODY`. off : whether nothing is filtered.
+    slower, idle, faster : index of each action, or `NO_INDEX`. off : whether nothing is filtered.
     none, one : 0 and 1; a kernel is compiled again for each constant that it is called with.
     """
 
@@ -59,7 +59,7 @@ class Numbers(NamedTuple):
     one: int = 1
 
 
-class Law(NamedTuple):
+class BatchParameters(NamedTuple):
     """Settings that all environments share.
 
     Attributes
@@ -82,10 +82,12 @@ class Law(NamedTuple):
     growth: FloatArray
     target_speeds: FloatArray
     labels: IntArray
-    numbers: Numbers
+    numbers: ScalarParameters
 
 
-def law_of(config: ShieldConfig, scenario: Scenario, road: StraightRoad, length: float, width: float) -> Law:
+def batch_parameters_of(
+    config: ShieldConfig, scenario: Scenario, road: StraightRoad, length: float, width: float
+) -> BatchParameters:
     """The settings of a configuration, for meta-actions on a straight road.
 
     Parameters
@@ -95,7 +97,7 @@ def law_of(config: ShieldConfig, scenario: Scenario, road: StraightRoad, length:
     rules, a = scenario.rules, config.assumptions
     labels = rules.labels.tolist()
     dt, period = 1 / scenario.config["simulation_frequency"], rules.numbers[0]
-    numbers = Numbers(
+    numbers = ScalarParameters(
         braking=config.braking,
         dt=dt,
         period=period,
@@ -111,11 +113,11 @@ def law_of(config: ShieldConfig, scenario: Scenario, road: StraightRoad, length:
         reaction=a.reaction_time,
         ttc=config.time_to_collision,
         slower=labels.index(4 if 4 in labels else 1),
-        idle=labels.index(1) if 1 in labels else NOBODY,
-        faster=labels.index(3) if 3 in labels else NOBODY,
+        idle=labels.index(1) if 1 in labels else NO_INDEX,
+        faster=labels.index(3) if 3 in labels else NO_INDEX,
         off=config.mode == "none",
     )
-    return Law(
+    return BatchParameters(
         centers=road.centers,
         size=footprint_of(length, width, config.buffer, None)[1],
         settings=settings_of(a, float(road.width), float(config.perception_range), False, dt),

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import math
 
-from dynamics.compiled import inlined, uncounted
-from dynamics.pass_by_pointer import Lent, held
+from dynamics.compiled import kernel_inline, kernel_no_refcount
+from dynamics.pass_by_pointer import Pointer, dereference
 from dynamics.roads.straight import nearest
 from dynamics.state import IntArray
 from dynamics.vehicle.controllers import KP_SPEED
-from shield.batch.arrays import Bench, Room, Scene, Shields
-from shield.batch.parameters import NOBODY, Law
+from shield.batch.arrays import BatchMemory, BatchPointers, BatchScene, BatchWorkspace
+from shield.batch.parameters import NO_INDEX, BatchParameters
 from shield.batch.verifying import frames_of, verify
 from shield.pipelines.frames import ACCELERATIONS, GREATEST, LANE_PENALTY
 
 __all__ = ["evade", "fail_lanes", "held_back", "hold_back"]
 
 
-@inlined
-def _grid(law: Law, v: float, speed: float, room: Room) -> None:
+@kernel_inline
+def _grid(law: BatchParameters, v: float, speed: float, room: BatchWorkspace) -> None:
     """Accelerations from full braking to that of the target, equal to `np.linspace` [m/s^2]."""
     low = -law.numbers.braking
     high = max(min(KP_SPEED * (speed - v), GREATEST), low)
@@ -28,8 +28,8 @@ def _grid(law: Law, v: float, speed: float, room: Room) -> None:
     room.grid[0, ACCELERATIONS - 1] = high
 
 
-@inlined
-def held_back(law: Law, v: float, speed: float, change: float, room: Room) -> float:
+@kernel_inline
+def held_back(law: BatchParameters, v: float, speed: float, change: float, room: BatchWorkspace) -> float:
     """Speed to which a target is reduced for one of `CAPS` [m/s]; see `held_back_speeds`."""
     _grid(law, v, speed, room)
     place, wish = 0, KP_SPEED * change
@@ -39,11 +39,11 @@ def held_back(law: Law, v: float, speed: float, change: float, room: Room) -> fl
     return v + room.grid[0, place] / KP_SPEED
 
 
-@inlined
-def fail_lanes(shields: Shields, law: Law, e: int, lane: int, out: IntArray) -> int:
+@kernel_inline
+def fail_lanes(shields: BatchMemory, law: BatchParameters, e: int, lane: int, out: IntArray) -> int:
     """Fill in `shield.pipelines.frames.fail_lanes`. Return the number of lanes."""
     here, stored = nearest(law.centers, shields.state[e, 1]), shields.stored[e]
-    if stored == NOBODY or abs(stored - here) > 1:
+    if stored == NO_INDEX or abs(stored - here) > 1:
         stored = here
     out[0], n = lane, 1
     if here != lane:
@@ -55,14 +55,14 @@ def fail_lanes(shields: Shields, law: Law, e: int, lane: int, out: IntArray) -> 
     return n
 
 
-@uncounted
-def hold_back(bench: Bench, scene: Lent[Scene], e: int, lane: int, speed: float, begins: int) -> int:
+@kernel_no_refcount
+def hold_back(bench: BatchPointers, scene: Pointer[BatchScene], e: int, lane: int, speed: float, begins: int) -> int:
     """The candidate with the greatest acceleration that verifies, committed lane first, or -1; `begins` as in
-    `shield.pipelines.frames.HoldBack`, 0 or 1."""
-    law, room = held(bench.law), held(bench.room)
+    `shield.pipelines.frames.AccelerationCap`, 0 or 1."""
+    law, room = dereference(bench.law), dereference(bench.room)
     lanes, plans, grid = room.marks[2], room.plans, room.grid
-    count, v = fail_lanes(held(bench.shields), law, e, lane, lanes), held(scene).ego[3]
-    here = nearest(law.centers, held(scene).state[1])
+    count, v = fail_lanes(dereference(bench.shields), law, e, lane, lanes), dereference(scene).ego[3]
+    here = nearest(law.centers, dereference(scene).state[1])
     _grid(law, v, speed, room)
     most = -math.inf
     for i in range(ACCELERATIONS):
@@ -97,33 +97,38 @@ def hold_back(bench: Bench, scene: Lent[Scene], e: int, lane: int, speed: float,
             nexts[tied[t]] -= 1
 
 
-@inlined
-def _least_bad(room: Room, n: int, lawful: bool) -> int:
+@kernel_inline
+def _least_bad(room: BatchWorkspace, n: int, lawful: bool) -> int:
     """Index of the best candidate, among those that clear the vehicles without a violation (with `lawful`) or among
     all; see `shield.certificate.road.verify.least_bad_evasion`."""
-    plans, best, most = room.plans, NOBODY, (0, 0, 0.0)
+    plans, best, most = room.plans, NO_INDEX, (0, 0, 0.0)
     for i in range(n):
         if lawful and not plans.lawful[i] >= 0:
             continue
         margin = -math.inf if math.isnan(plans.expected[i]) else plans.expected[i]
         found = (plans.lasting[i], plans.clear[i], margin)
-        if best == NOBODY or found > most:
+        if best == NO_INDEX or found > most:
             best, most = i, found
     return best
 
 
-@uncounted
-def evade(bench: Bench, lent: Lent[Scene], e: int, speed: float, violated: bool) -> int:
+@kernel_no_refcount
+def evade(bench: BatchPointers, lent: Pointer[BatchScene], e: int, speed: float, violated: bool) -> int:
     """The candidate that is expected to stay clear longest, among those that clear the vehicles without a violation
     (see `Instant.lawful`); if there are none, among all."""
-    shields, law, room, scene = held(bench.shields), held(bench.law), held(bench.room), held(lent)
+    shields, law, room, scene = (
+        dereference(bench.shields),
+        dereference(bench.law),
+        dereference(bench.room),
+        dereference(lent),
+    )
     plans, lanes, x = room.plans, room.marks[2], law.numbers
     here, stored, n = nearest(law.centers, scene.state[1]), shields.stored[e], 0
     for lane in (here, here - 1, here + 1):
         if 0 <= lane < law.centers.shape[0]:
             lanes[n] = lane
             n += 1
-    if stored != NOBODY and stored not in (here, here - 1, here + 1):
+    if stored != NO_INDEX and stored not in (here, here - 1, here + 1):
         lanes[n] = stored
         n += 1
     v, most = scene.ego[3], -math.inf

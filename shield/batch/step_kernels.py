@@ -4,29 +4,29 @@ from __future__ import annotations
 
 import math
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import kernel_no_refcount
 from dynamics.highway_simulator.layout import SPEED, TARGET, TARGET_SPEED
 from dynamics.highway_simulator.neighbours import sort
 from dynamics.highway_simulator.step_kernels import (
     Machine,
+    ObservationConfig,
     Rules,
-    Seen,
-    View,
+    StepResults,
     Work,
     Worlds,
     advance,
     begin,
+    begin_next_episode,
     finish,
-    follow,
     look,
 )
-from dynamics.pass_by_pointer import lent
+from dynamics.pass_by_pointer import address_of
 from dynamics.state import BoolArray, FloatArray, IntArray
-from shield.batch.arrays import Bench, Records, Room, Shields
+from shield.batch.arrays import BatchMemory, BatchPointers, BatchRecords, BatchWorkspace
 from shield.batch.codes import TIERS
 from shield.batch.deciding import decide, target_of
-from shield.batch.observing import forget, observe
-from shield.batch.parameters import Law
+from shield.batch.observing import observe, reset_memory
+from shield.batch.parameters import BatchParameters
 from shield.batch.supervising import supervise
 from shield.decision import Tier
 
@@ -36,8 +36,8 @@ _PASSED, _OFF = TIERS.index(Tier.PASSED), TIERS.index(Tier.OFF)
 _NO_TARGET = -1, 0.0
 
 
-@uncounted
-def let_pass(records: Records, e: int, proposed: int) -> None:
+@kernel_no_refcount
+def let_pass(records: BatchRecords, e: int, proposed: int) -> None:
     """Record and execute the proposal without a shield."""
     records.proposed[e] = records.executed[e] = proposed
     records.tier[e], records.reason[e], records.margin[e] = _OFF, 0, math.nan
@@ -47,18 +47,18 @@ def let_pass(records: Records, e: int, proposed: int) -> None:
         records.clauses[e, k], records.vehicles[e, k] = 0, -1
 
 
-@uncounted
+@kernel_no_refcount
 def step_all_shielded(
     machine: Machine,
     worlds: Worlds,
     rules: Rules,
-    view: View,
+    view: ObservationConfig,
     work: Work,
-    seen: Seen,
-    shields: Shields,
-    law: Law,
-    room: Room,
-    records: Records,
+    seen: StepResults,
+    shields: BatchMemory,
+    law: BatchParameters,
+    room: BatchWorkspace,
+    records: BatchRecords,
     actions: IntArray,
     orders: IntArray,
     given: FloatArray,
@@ -82,7 +82,9 @@ def step_all_shielded(
     rows, off_road : bodies after each frame, (e, F, m, 7), and whether the ego is off the road then, (e, F); written.
     frequency : frames per second [Hz].
     """
-    bench = Bench(lent(shields), lent(law), lent(worlds), lent(room), lent(records))
+    bench = BatchPointers(
+        address_of(shields), address_of(law), address_of(worlds), address_of(room), address_of(records)
+    )
     for e in range(first, last):
         before, proposed, off = shields.offences[e], actions[e], law.numbers.off
         broken, by_rule = records.broken[e], shields.by_rule[e]
@@ -123,5 +125,5 @@ def step_all_shielded(
         for k in range(by_rule.shape[0]):
             broken[k] += by_rule[k]
         if again and (seen.terminated[e] or seen.truncated[e]):
-            follow(machine, worlds, rules, view, work, seen, e)
-            forget(shields, e)
+            begin_next_episode(machine, worlds, rules, view, work, seen, e)
+            reset_memory(shields, e)

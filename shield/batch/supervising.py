@@ -1,21 +1,29 @@
-"""Decision about one frame of one of many environments, as by `shield.pipelines.frames.Frames`."""
+"""Decision about one frame of one of many environments, as by `shield.pipelines.frames.FramePipeline`."""
 
 from __future__ import annotations
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.layout import TARGET, TARGET_SPEED
-from dynamics.pass_by_pointer import Lent, held, lent
-from shield.batch.arrays import Bench, Records, Room, Scene, Shields, bound_of, scene_of
+from dynamics.pass_by_pointer import Pointer, address_of, dereference
+from shield.batch.arrays import (
+    BatchMemory,
+    BatchPointers,
+    BatchRecords,
+    BatchScene,
+    BatchWorkspace,
+    scene_of,
+    without_precautions,
+)
 from shield.batch.codes import REASONS, TIERS
-from shield.batch.observing import observe, stop_in
-from shield.batch.parameters import NOBODY
+from shield.batch.observing import observe, set_stop_candidate
+from shield.batch.parameters import NO_INDEX
 from shield.batch.repairing import evade, fail_lanes, hold_back
 from shield.batch.verifying import frames_of, verify
 from shield.certificate.road.clauses.all_clauses import NOTHING_BINDS
 from shield.certificate.road.verify import ROUNDING
 from shield.decision import Reason, Tier
 
-__all__ = ["forgive", "keep_stored", "supervise", "violated"]
+__all__ = ["clear_violators", "judge_stored", "supervise", "violated"]
 
 _PASSED, _GOVERNED, _STORED = TIERS.index(Tier.PASSED), TIERS.index(Tier.GOVERNED), TIERS.index(Tier.STORED_PLAN)
 _EVADED, _LARGEST, _EMERGENCY = (
@@ -28,8 +36,8 @@ _NO_PLAN, _BAD_SCENE = REASONS.index(Reason.NO_SAFE_PLAN), REASONS.index(Reason.
 _PRECAUTION = REASONS.index(Reason.PRECAUTION)
 
 
-@inlined
-def violated(shields: Shields, e: int) -> bool:
+@kernel_inline
+def violated(shields: BatchMemory, e: int) -> bool:
     """Whether a violator may still be in the way."""
     some = False
     for i in range(shields.offenders.shape[1]):
@@ -37,22 +45,22 @@ def violated(shields: Shields, e: int) -> bool:
     return some
 
 
-@inlined
-def forgive(shields: Shields, e: int) -> None:
+@kernel_inline
+def clear_violators(shields: BatchMemory, e: int) -> None:
     """Clear the violators, when a plan clears every vehicle again."""
     for i in range(shields.offenders.shape[1]):
         shields.offenders[e, i] = False
 
 
-@inlined
-def _keep(records: Records, e: int, k: int, tier: int, reason: int, lane: int, acceleration: float) -> None:
+@kernel_inline
+def _keep(records: BatchRecords, e: int, k: int, tier: int, reason: int, lane: int, acceleration: float) -> None:
     records.tiers[e, k], records.reasons[e, k] = tier, reason
     records.lanes[e, k], records.accelerations[e, k] = lane, acceleration
-    records.margins[e, k], records.clauses[e, k], records.vehicles[e, k] = float("nan"), NOTHING_BINDS, NOBODY
+    records.margins[e, k], records.clauses[e, k], records.vehicles[e, k] = float("nan"), NOTHING_BINDS, NO_INDEX
 
 
-@inlined
-def _note(records: Records, e: int, k: int, room: Room, i: int) -> None:
+@kernel_inline
+def _note(records: BatchRecords, e: int, k: int, room: BatchWorkspace, i: int) -> None:
     plans = room.plans
     records.margins[e, k], records.clauses[e, k], records.vehicles[e, k] = (
         plans.margins[i],
@@ -61,25 +69,30 @@ def _note(records: Records, e: int, k: int, room: Room, i: int) -> None:
     )
 
 
-@uncounted
-def keep_stored(bench: Bench, e: int) -> float:
+@kernel_no_refcount
+def judge_stored(bench: BatchPointers, e: int) -> float:
     """Judge the stored plan from now on as candidate 0, without precautions and without violators. Return its margin
     [m]."""
-    shields, law, room = held(bench.shields), held(bench.law), held(bench.room)
-    frames, x = stop_in(shields, law, e, shields.stored[e], room), law.numbers
-    scene = lent(bound_of(scene_of(shields, law, e)))
+    shields, law, room = dereference(bench.shields), dereference(bench.law), dereference(bench.room)
+    frames, x = set_stop_candidate(shields, law, e, shields.stored[e], room), law.numbers
+    scene = address_of(without_precautions(scene_of(shields, law, e)))
     verify(bench, scene, x.one, x.one, frames, x.none, shields.offenders[e], x.none)
     return float(room.plans.margins[0])
 
 
-@uncounted
-def _fall_back(bench: Bench, scene: Lent[Scene], e: int, k: int, speed: float) -> None:
+@kernel_no_refcount
+def _fall_back(bench: BatchPointers, scene: Pointer[BatchScene], e: int, k: int, speed: float) -> None:
     """Continue the stored plan while it clears the vehicles without a violation. With a violator, choose among the
     candidates that clear those vehicles the one that clears the violators longest."""
-    shields, law, room, records = held(bench.shields), held(bench.law), held(bench.room), held(bench.records)
+    shields, law, room, records = (
+        dereference(bench.shields),
+        dereference(bench.law),
+        dereference(bench.room),
+        dereference(bench.records),
+    )
     offended, stored, plans, braking = violated(shields, e), shields.stored[e], room.plans, law.numbers.braking
-    if stored != NOBODY:
-        keep_stored(bench, e)
+    if stored != NO_INDEX:
+        judge_stored(bench, e)
         margin, clause, vehicle = plans.margins[0], plans.clauses[0], plans.vehicles[0]
         if margin >= -ROUNDING or not offended:
             if offended:
@@ -96,38 +109,38 @@ def _fall_back(bench: Bench, scene: Lent[Scene], e: int, k: int, speed: float) -
     found = evade(bench, scene, e, speed, offended)
     _keep(records, e, k, _LARGEST, _NO_PLAN, plans.lanes[found], plans.accelerations[found])
     _note(records, e, k, room, found)
-    shields.stored[e] = NOBODY
+    shields.stored[e] = NO_INDEX
 
 
-@uncounted
-def supervise(bench: Bench, e: int, k: int) -> None:
+@kernel_no_refcount
+def supervise(bench: BatchPointers, e: int, k: int) -> None:
     """Decide about frame `k` of a decision, into `records`. If its tier is not `PASSED`, a lane and an acceleration
     replace those of the ego's controllers."""
-    shields, law, worlds = held(bench.shields), held(bench.law), held(bench.worlds)
-    room, records = held(bench.room), held(bench.records)
+    shields, law, worlds = dereference(bench.shields), dereference(bench.law), dereference(bench.worlds)
+    room, records = dereference(bench.room), dereference(bench.records)
     lane, speed, braking = worlds.g[e, TARGET, 0], worlds.f[e, TARGET_SPEED, 0], law.numbers.braking
     if not observe(bench, e):
-        stop = lane if shields.stored[e] == NOBODY else shields.stored[e]
+        stop = lane if shields.stored[e] == NO_INDEX else shields.stored[e]
         _keep(records, e, k, _EMERGENCY, _BAD_SCENE, stop, -braking)
         return
     plans, fails, v = room.plans, room.marks[2], shields.ego[e, 3]
-    n, scene = fail_lanes(shields, law, e, lane, fails), lent(scene_of(shields, law, e))
+    n, scene = fail_lanes(shields, law, e, lane, fails), address_of(scene_of(shields, law, e))
     for i in range(n):
         plans.lanes[i], plans.fails[i], plans.speeds[i] = lane, fails[i], speed
     x = law.numbers
     frames = frames_of(law, v, speed, x.one)
     found = verify(bench, scene, n, x.one, frames, x.none, room.nobody, x.one)
-    if found != NOBODY:
+    if found != NO_INDEX:
         _keep(records, e, k, _PASSED, _NONE, lane, 0.0)
         _note(records, e, k, room, found)
         shields.stored[e] = plans.fails[found]
-        forgive(shields, e)
+        clear_violators(shields, e)
         return
     found = hold_back(bench, scene, e, lane, speed, law.numbers.none)
-    if found != NOBODY:
+    if found != NO_INDEX:
         _keep(records, e, k, _GOVERNED, _UNVERIFIED, plans.lanes[found], plans.accelerations[found])
         _note(records, e, k, room, found)
         shields.stored[e] = plans.fails[found]
-        forgive(shields, e)
+        clear_violators(shields, e)
         return
     _fall_back(bench, scene, e, k, speed)

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import math
 
-from dynamics.compiled import inlined, uncounted
-from dynamics.pass_by_pointer import Lent, held
+from dynamics.compiled import kernel_inline, kernel_no_refcount
+from dynamics.pass_by_pointer import Pointer, dereference
 from dynamics.state import BoolArray, FloatArray
 from dynamics.vehicle.controllers import KP_SPEED
 from dynamics.vehicle.rollout_kernels import roll_frame, slip_at
-from shield.batch.arrays import Bench, Scene
-from shield.batch.parameters import NOBODY, Law
-from shield.certificate.road.clauses.all_clauses import SEPARATION_BINDS, judge
+from shield.batch.arrays import BatchPointers, BatchScene
+from shield.batch.parameters import NO_INDEX, BatchParameters
+from shield.certificate.road.clauses.all_clauses import SEPARATION_BINDS, evaluate_path
 from shield.certificate.road.clauses.footprint import across_of, along_of
 
 __all__ = ["frames_of", "verify"]
 
 
-@inlined
-def frames_of(law: Law, v: float, most: float, commit: int) -> int:
+@kernel_inline
+def frames_of(law: BatchParameters, v: float, most: float, commit: int) -> int:
     """Number of frames after which every candidate stands that commits, at speed `v`, to at most `most` [m/s]; see
     `shield.certificate.road.manoeuvres.brake_candidates`."""
     numbers = law.numbers
@@ -27,8 +27,8 @@ def frames_of(law: Law, v: float, most: float, commit: int) -> int:
     return commit + math.ceil(top / (numbers.braking * numbers.dt)) + 1
 
 
-@inlined
-def _touches(s: float, r: float, sin: float, cos: float, rear: float, j: int, scene: Scene) -> bool:
+@kernel_inline
+def _touches(s: float, r: float, sin: float, cos: float, rear: float, j: int, scene: BatchScene) -> bool:
     """Whether the ego's buffer certainly overlaps with a place that vehicle `j` can reach; its body is no further back
     than `rear` [m]."""
     foot, others = scene.foot, scene.around.others
@@ -37,10 +37,10 @@ def _touches(s: float, r: float, sin: float, cos: float, rear: float, j: int, sc
     return beside and rear - (s + along_of(foot, sin, cos)) < 0
 
 
-@inlined
+@kernel_inline
 def _roll(
-    scene: Scene,
-    law: Law,
+    scene: BatchScene,
+    law: BatchParameters,
     lines: tuple[float, float],
     speed: float,
     commit: int,
@@ -57,7 +57,7 @@ def _roll(
     ----------
     lines : lateral positions of the target lane and of the lane of the stop [m]. speed : target speed [m/s].
     commit : number of frames of commitment. rears : of the clauses' workspace, (2, m, K).
-    suspect : vehicle that is checked during the rollout, or `NOBODY`. reached : first frame of this check.
+    suspect : vehicle that is checked during the rollout, or `NO_INDEX`. reached : first frame of this check.
 
     Returns
     -------
@@ -75,15 +75,22 @@ def _roll(
         sin, cos = math.sin(psi), math.cos(psi)
         path[f, 0], path[f, 1], path[f, 2], path[f, 3] = s, r, psi, v
         turned[0, f], turned[1, f] = sin, cos
-        asked = suspect != NOBODY and reached <= f < frames - 1
+        asked = suspect != NO_INDEX and reached <= f < frames - 1
         if asked and _touches(s, r, sin, cos, rears[0, suspect, f], suspect, scene):
             return False
     return True
 
 
-@uncounted
+@kernel_no_refcount
 def verify(
-    bench: Bench, lent: Lent[Scene], n: int, commit: int, frames: int, hold: int, ignored: BoolArray, first: int
+    bench: BatchPointers,
+    lent: Pointer[BatchScene],
+    n: int,
+    commit: int,
+    frames: int,
+    hold: int,
+    ignored: BoolArray,
+    first: int,
 ) -> int:
     """Judge the first `n` candidates of the workspace. With `first` 1, stop at the first that verifies; of those before
     it, only their failure is known.
@@ -91,23 +98,23 @@ def verify(
     Parameters
     ----------
     lent : the scene. commit, frames : number of frames of commitment to the target, and in total.
-    hold, ignored : see `judge`.
+    hold, ignored : see `evaluate_path`.
 
     Returns
     -------
     The first candidate that verifies, or -1.
     """
-    scene, law, room = held(lent), held(bench.law), held(bench.room)
-    plans, desk, found, behind = room.plans, room.desk, NOBODY, scene.around.others.behind
-    suspect, reached = NOBODY, 0
-    if first > 0 and hold == 0 and room.suspect[0] != NOBODY and desk.done[0, room.suspect[0]] >= frames:
+    scene, law, room = dereference(lent), dereference(bench.law), dereference(bench.room)
+    plans, desk, found, behind = room.plans, room.desk, NO_INDEX, scene.around.others.behind
+    suspect, reached = NO_INDEX, 0
+    if first > 0 and hold == 0 and room.suspect[0] != NO_INDEX and desk.done[0, room.suspect[0]] >= frames:
         suspect, reached = room.suspect[0], room.suspect[1]
     if frames > room.path.shape[0]:
         # The rollout is longer than the buffer: no candidate verifies.
         for i in range(n):
-            plans.margins[i], plans.clear[i], plans.clauses[i], plans.vehicles[i] = -math.inf, 0, 0, NOBODY
+            plans.margins[i], plans.clear[i], plans.clauses[i], plans.vehicles[i] = -math.inf, 0, 0, NO_INDEX
         desk.found[0] = 0
-        return NOBODY
+        return NO_INDEX
     path = room.path[:frames]
     for i in range(n):
         lane, fail = plans.lanes[i], plans.fails[i]
@@ -116,7 +123,7 @@ def verify(
         if not _roll(scene, law, lines, plans.speeds[i], commit, path, desk.turned, desk.rears, suspect, reached):
             plans.margins[i] = -math.inf
             continue
-        margin, clear, clause, vehicle = judge(
+        margin, clear, clause, vehicle = evaluate_path(
             path,
             lane,
             fail,
@@ -132,7 +139,7 @@ def verify(
             desk,
         )
         plans.margins[i], plans.clear[i], plans.clauses[i], plans.vehicles[i] = margin, clear, clause, vehicle
-        if margin >= 0 and found == NOBODY:
+        if margin >= 0 and found == NO_INDEX:
             found = i
             if first > 0:
                 return found

@@ -10,23 +10,23 @@ from typing import Any
 import numpy as np
 
 from dynamics.highway_simulator.layout import HEADING, SPEED, X, Y
-from dynamics.road_networks.simulation.ego_alone import Alone, Course
+from dynamics.road_networks.simulation.ego_alone import EgoManoeuvre, EgoOnNetwork
 from dynamics.road_networks.simulation.frame_kernels import new_work
-from shield.certificate.network.choice import Choice, choose
-from shield.certificate.network.workspace import Body, Others, Road, empty_trial
+from shield.certificate.network.choice import JudgedCandidate, choose
+from shield.certificate.network.workspace import EgoExtents, NetworkContext, NetworkVehicles, empty_rollout
 from shield.decision import Decision, Reason, Tier
-from shield.explaining.words import action_name, done, nothing_judged, proof
-from shield.explaining.worlds import Described, describe, lane_of
-from shield.explanation import Explanation, Lost, number
+from shield.explaining.words import action_name, executed_text, justification_text, nothing_judged
+from shield.explaining.worlds import VehicleIdentity, describe, lane_of
+from shield.explanation import Explanation, LostGuarantee, number
 
-__all__ = ["Roads", "on_roads"]
+__all__ = ["NetworkDecisionData", "network_decision_data"]
 
 _OFF = -500.0
 """A margin below this stands for leaving the road [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Roads:
+class NetworkDecisionData:
     """Data of a decision on a road network.
 
     Attributes
@@ -38,12 +38,12 @@ class Roads:
     size : the ego's length and width [m].
     """
 
-    alone: Alone
-    road: Road
-    body: Body
-    others: Others
+    alone: EgoOnNetwork
+    road: NetworkContext
+    body: EgoExtents
+    others: NetworkVehicles
     who: Sequence[Any]
-    tried: Sequence[tuple[Course, Tier]]
+    tried: Sequence[tuple[EgoManoeuvre, Tier]]
     lanes: Sequence[tuple[str, str, int]]
     labels: Sequence[str]
     size: tuple[float, float]
@@ -62,8 +62,8 @@ class Roads:
         if at.reason not in (Reason.UNVERIFIED, Reason.NO_SAFE_PLAN):
             return nothing_judged(at, record, name, speed, proposal, frame)
         found = self._best()
-        lost = Lost.GUARANTEE if at.tier.fallback else Lost.NOTHING
-        tail = done(at, record, name, speed), proof(at, lost)
+        lost = LostGuarantee.GUARANTEE if at.tier.fallback else LostGuarantee.NOTHING
+        tail = executed_text(at, record, name, speed), justification_text(at, lost)
         after, short, cause = found.clear * self.road.period, max(-found.margin, 0.0), None
         if found.margin < _OFF:
             clause, short, why = "road", nan, f"the ego would leave the road after {number(after)} s"
@@ -73,7 +73,7 @@ class Roads:
             why = f"a standing body is in the way; {lacks}"
             if found.vehicle >= 0:
                 ego = np.array([*self.alone.worlds.f[0, [X, Y, HEADING, SPEED], 0], *self.size])
-                who = Described(self.who[found.vehicle], lane_of(self.lanes[found.vehicle]))
+                who = VehicleIdentity(self.who[found.vehicle], lane_of(self.lanes[found.vehicle]))
                 cause = describe(ego, self.others.rows[found.vehicle], who)
                 broke = " (it has broken a rule)" if self.others.offends[found.vehicle] else ""
                 why = f"{cause.text}{broke} could be in the way; {lacks}"
@@ -85,19 +85,19 @@ class Roads:
                     )
         return Explanation(proposal, at.reason, clause, cause, short, after, why, *tail, at.margin, frame, lost)
 
-    def _best(self) -> Choice:
+    def _best(self) -> JudgedCandidate:
         """The best candidate of the proposal, none of which verifies."""
         wished = [course for course, tier in self.tried if tier is Tier.PASSED]
         frames, lanes, many = self.others.least.shape[1] - 3, len(self.road.circles), len(self.who)
-        trial, bodies = empty_trial(frames, lanes, many), empty_trial(frames, lanes, 0)
+        trial, bodies = empty_rollout(frames, lanes, many), empty_rollout(frames, lanes, 0)
         # The check writes into these two arrays, and the decision still uses its own.
         others = self.others._replace(waits=self.others.waits.copy(), shut=self.others.shut.copy())
         courses = np.array(wished, float)
-        found: Choice = choose(self.alone, self.road, self.body, others, courses, trial, bodies)
+        found: JudgedCandidate = choose(self.alone, self.road, self.body, others, courses, trial, bodies)
         return found
 
 
-def on_roads(alone: Alone, **made_from: Any) -> Roads:
+def network_decision_data(alone: EgoOnNetwork, **made_from: Any) -> NetworkDecisionData:
     """Data of the present decision, with a copy of the ego's state, which changes later."""
     worlds = alone.worlds._replace(**{name: getattr(alone.worlds, name).copy() for name in alone.worlds._fields})
-    return Roads(alone._replace(worlds=worlds, work=new_work(1)), **made_from)
+    return NetworkDecisionData(alone._replace(worlds=worlds, work=new_work(1)), **made_from)

@@ -11,22 +11,22 @@ import numpy as np
 from dynamics.scenes.scene import Scene, Target
 from dynamics.state import FloatArray, State, Vehicle
 from shield.certificate.road.manoeuvres import brake_candidates
-from shield.certificate.road.memory import Instant
-from shield.certificate.road.monitor import Watch
+from shield.certificate.road.memory import ObservedScene
+from shield.certificate.road.monitor import RoadMonitor
 from shield.certificate.road.verify import ROUNDING
 from shield.decision import Decision, Reason, Tier
-from shield.explaining.words import action_name, done, inputs_name, nothing_judged, proof
-from shield.explaining.worlds import Described, describe, place
-from shield.explanation import Explanation, Lost, Obstruction, number
-from shield.pipelines.decide import Made, Unreadable
-from shield.pipelines.frames import Frames, fail_lanes
-from shield.pipelines.inputs import Inputs
-from shield.pipelines.meta_actions import MetaActions
-from shield.pipelines.parking_lot import ParkingLot
-from shield.pipelines.screen import RuleAlone
+from shield.explaining.words import action_name, executed_text, inputs_name, justification_text, nothing_judged
+from shield.explaining.worlds import VehicleIdentity, describe, place
+from shield.explanation import Explanation, LostGuarantee, Obstruction, number
+from shield.pipelines.decide import DecisionData, Unreadable
+from shield.pipelines.frames import FramePipeline, fail_lanes
+from shield.pipelines.inputs import InputPipeline
+from shield.pipelines.meta_actions import MetaActionPipeline
+from shield.pipelines.parking_lot import ParkingLotPipeline
+from shield.pipelines.screen import RulePipeline
 from shield.rules import Rule
 
-__all__ = ["cause_in", "explain_scene"]
+__all__ = ["describe_binding_vehicle", "explain_scene"]
 
 _NO_VEHICLE = -1
 _FAR, _HALVINGS = 500.0, 12
@@ -51,7 +51,7 @@ class _Refusal:
     expected: bool = False
 
 
-def explain_scene(made: Made[Any], at: Decision, record: Decision, frame: int) -> Explanation:
+def explain_scene(made: DecisionData[Any], at: Decision, record: Decision, frame: int) -> Explanation:
     """See `shield.decision.Source`."""
     scene, procedure = made.scene, made.procedure
     labels = scene.control.actions if isinstance(scene, Scene) else getattr(made.proposal, "labels", ())
@@ -70,24 +70,24 @@ def explain_scene(made: Made[Any], at: Decision, record: Decision, frame: int) -
     if at.reason is Reason.STAGE_FAILED:
         return nothing_judged(at, record, name, speed, proposal, frame)
     if at.reason is Reason.RESUME:
-        tail = done(at, record, name, speed), proof(at, Lost.NOTHING)
+        tail = executed_text(at, record, name, speed), justification_text(at, LostGuarantee.NOTHING)
         return Explanation(proposal, at.reason, "", None, nan, nan, at.reason.text, *tail, at.margin, frame)
     found, view = _refusal(made, at)
-    lost = Lost.NOTHING if not at.tier.fallback else _lost(made, view, at)
-    cause = None if found.vehicle == _NO_VEHICLE else cause_in(view_scene(view, scene), found.vehicle)
+    lost = LostGuarantee.NOTHING if not at.tier.fallback else _lost(made, view, at)
+    cause = None if found.vehicle == _NO_VEHICLE else describe_binding_vehicle(view_scene(view, scene), found.vehicle)
     short = -found.margin if isfinite(found.margin) and found.margin < 0 else nan
-    why = _why(found, cause, short) + _offence(view)
-    right = "a rule alone decides" if isinstance(procedure, RuleAlone) else proof(at, lost)
-    tail = done(at, record, name, speed), right
+    why = _why(found, cause, short) + _violator_text(view)
+    right = "a rule alone decides" if isinstance(procedure, RulePipeline) else justification_text(at, lost)
+    tail = executed_text(at, record, name, speed), right
     return Explanation(proposal, at.reason, found.clause, cause, short, found.after, why, *tail, at.margin, frame, lost)
 
 
 def view_scene(view: Any, scene: Any) -> Any:
     """The scene that was judged. Bounds of observed vehicles are intersected with those of the previous scene."""
-    return view.scene if isinstance(view, Instant) else scene
+    return view.scene if isinstance(view, ObservedScene) else scene
 
 
-def cause_in(scene: Any, row: int) -> Obstruction:
+def describe_binding_vehicle(scene: Any, row: int) -> Obstruction:
     """Description of another vehicle in a scene, or of an obstacle in a parking lot.
 
     Parameters
@@ -95,7 +95,9 @@ def cause_in(scene: Any, row: int) -> Obstruction:
     row : index of its vehicle row.
     """
     if not isinstance(scene, Scene):
-        return describe(scene.ego, scene.obstacles[row], Described(row if scene.bodies is None else scene.bodies[row]))
+        return describe(
+            scene.ego, scene.obstacles[row], VehicleIdentity(row if scene.bodies is None else scene.bodies[row])
+        )
     mine, other, ego, body = scene.ego_road, scene.others_road[row], scene.ego, scene.others[row]
     length, width = (0.5 * float(ego[k] + body[k]) for k in (Vehicle.LENGTH, Vehicle.WIDTH))
     where, distance = place(float(other[0] - mine[0]), float(other[1] - mine[1]), length, width)
@@ -106,7 +108,7 @@ def cause_in(scene: Any, row: int) -> Obstruction:
     return Obstruction(known, f"{'vehicle' if scene.ids is None else 'track'} {known}", *seen)
 
 
-def _proposal(made: Made[Any], record: Decision, frame: int, name: Any) -> str:
+def _proposal(made: DecisionData[Any], record: Decision, frame: int, name: Any) -> str:
     """Name of the refused proposal; in a frame, of the command that the action leads to."""
     if isinstance(made.proposal, Target):
         return str(name(record.executed))
@@ -118,27 +120,27 @@ def _proposal(made: Made[Any], record: Decision, frame: int, name: Any) -> str:
 # -- cause of the refusal --------------------------------------------------------------------------------------
 
 
-def _refusal(made: Made[Any], at: Decision) -> tuple[_Refusal, Any]:
+def _refusal(made: DecisionData[Any], at: Decision) -> tuple[_Refusal, Any]:
     """The cause of the refusal, and the view in which the proposal was judged."""
     scene, procedure, proposal = made.scene, made.procedure, made.proposal
     view, _ = procedure.observe(made.memory, scene)
-    if isinstance(procedure, RuleAlone):
+    if isinstance(procedure, RulePipeline):
         return _by_rule(procedure.rule, scene, scene.target_of(proposal.action)), view
-    if isinstance(procedure, ParkingLot):
+    if isinstance(procedure, ParkingLotPipeline):
         return _in_lot(procedure, view, proposal, scene), view
     if at.reason is Reason.BUFFER:
         screen: Any = procedure
         return _by_rule(screen.screen.buffer, scene, scene.target_of(proposal.action)), view
-    if isinstance(procedure, MetaActions):
+    if isinstance(procedure, MetaActionPipeline):
         return _of_target(view, scene.target_of(proposal.action), procedure.lasts(view, proposal.action)), view
-    if isinstance(procedure, Frames):
+    if isinstance(procedure, FramePipeline):
         return _of_target(view, proposal, False), view
     plan = next(iter(procedure.plans(view, proposal))).plan
     frames = plan.clear + 1
     return _Refusal(plan.binding.clause, plan.binding.vehicle, plan.margin, frames * scene.dt), view
 
 
-def _of_target(now: Instant, target: Target, lasting: bool) -> _Refusal:
+def _of_target(now: ObservedScene, target: Target, lasting: bool) -> _Refusal:
     """Cause for a target command: the bound for one frame of it, or the forecast for the whole decision."""
     scene, braking = now.scene, now.config.braking
     fails = fail_lanes(now, target.lane)
@@ -159,7 +161,7 @@ def _of_target(now: Instant, target: Target, lasting: bool) -> _Refusal:
     return found
 
 
-def _in_lot(procedure: ParkingLot, view: Any, proposal: FloatArray, lot: Any) -> _Refusal:
+def _in_lot(procedure: ParkingLotPipeline, view: Any, proposal: FloatArray, lot: Any) -> _Refusal:
     """Cause for inputs, (2,), in a parking lot."""
     moving = np.flatnonzero(lot.moving)
     if view.memory.watch.violated and moving.size:
@@ -235,39 +237,39 @@ def _why(found: _Refusal, cause: Obstruction | None, short: float) -> str:
     return f"{cause.text} {verb}; {lacks}"
 
 
-def _offence(view: Any) -> str:
+def _violator_text(view: Any) -> str:
     """Text on the violators, if a violation is the reason that no plan verifies."""
     watch = view.memory.watch if hasattr(view, "memory") else None
-    if not isinstance(watch, Watch) or not watch.violated or not isinstance(view, Instant):
+    if not isinstance(watch, RoadMonitor) or not watch.violated or not isinstance(view, ObservedScene):
         return ""
-    who = [cause_in(view.scene, int(row)).text for row in np.flatnonzero(watch.offenders)[:2]]
+    who = [describe_binding_vehicle(view.scene, int(row)).text for row in np.flatnonzero(watch.offenders)[:2]]
     return "".join(f"; {each} has broken a rule" for each in who)
 
 
-def _lost(made: Made[Any], view: Any, at: Decision) -> Lost:
-    """What a fallback has lost; see `Lost`."""
+def _lost(made: DecisionData[Any], view: Any, at: Decision) -> LostGuarantee:
+    """What a fallback has lost; see `LostGuarantee`."""
     if at.reason is Reason.PRECAUTION:
-        return Lost.PRECAUTION
-    if not isinstance(view, Instant) or view.memory.watch.violated:
+        return LostGuarantee.PRECAUTION
+    if not isinstance(view, ObservedScene) or view.memory.watch.violated:
         kept = at.tier is Tier.STORED_PLAN and not view.memory.watch.violated
-        return Lost.NOTHING if kept and at.margin >= -1e-4 else Lost.GUARANTEE
+        return LostGuarantee.NOTHING if kept and at.margin >= -1e-4 else LostGuarantee.GUARANTEE
     if at.tier is Tier.STORED_PLAN and not isinstance(view.memory.stored, int | None):
-        return Lost.NOTHING  # a sequence of actions, verified for its horizon
+        return LostGuarantee.NOTHING  # a sequence of actions, verified for its horizon
     if _fail_safe_margin(made, view) >= -ROUNDING and at.tier in (Tier.STORED_PLAN, Tier.EVADED):
-        return Lost.NOTHING
+        return LostGuarantee.NOTHING
     without = replace(view, survey=view.survey.without_cut_ins())
     if any(each.plan.verified for each in made.procedure.plans(without, made.proposal)):
-        return Lost.PRECAUTION
+        return LostGuarantee.PRECAUTION
     if at.tier is Tier.STORED_PLAN and _fail_safe_margin(made, without) >= -ROUNDING:
-        return Lost.PRECAUTION
-    return Lost.GUARANTEE
+        return LostGuarantee.PRECAUTION
+    return LostGuarantee.GUARANTEE
 
 
-def _fail_safe_margin(made: Made[Any], now: Instant) -> float:
+def _fail_safe_margin(made: DecisionData[Any], now: ObservedScene) -> float:
     """Present margin of the stored fail-safe in a lane [m]; -inf without one."""
     if not isinstance(now.memory.stored, int):
         return -np.inf
-    if isinstance(made.procedure, Inputs):
+    if isinstance(made.procedure, InputPipeline):
         law = made.procedure.execution.law(now.scene, now.memory.stored)[None]
         return float(made.procedure.judge(now, law, [now.memory.stored]).margin[0])
     return now.fail_safe().margin

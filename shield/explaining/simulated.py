@@ -11,20 +11,20 @@ import numpy as np
 
 from dynamics.highway_simulator.layout import LANE
 from dynamics.state import FloatArray, IntArray
-from dynamics.traffic.rules_of_the_road import Ego, gap_between
-from shield.certificate.simulated.refused_proposal import foretell_refused
-from shield.certificate.simulated.workspace import ANY, Search
+from dynamics.traffic.rules_of_the_road import EgoFootprint, gap_between
+from shield.certificate.simulated.refused_proposal import simulate_refused
+from shield.certificate.simulated.workspace import ANY, TrafficSearch
 from shield.compiling import announced
 from shield.decision import Decision, Reason, Tier
-from shield.explaining.words import action_name, done, inputs_name, nothing_judged, proof
-from shield.explaining.worlds import Described, describe, lane_of
-from shield.explanation import Explanation, Lost, Obstruction, number
+from shield.explaining.words import action_name, executed_text, inputs_name, justification_text, nothing_judged
+from shield.explaining.worlds import VehicleIdentity, describe, lane_of
+from shield.explanation import Explanation, LostGuarantee, Obstruction, number
 
-__all__ = ["Simulated", "copy_of"]
+__all__ = ["SimulatedDecisionData", "copy_of"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Simulated:
+class SimulatedDecisionData:
     """Data of a decision in simulated traffic.
 
     Attributes
@@ -36,10 +36,11 @@ class Simulated:
     proposal : an action, or acceleration [m/s^2] and wheel angle [rad], (2,). labels : of the actions; empty for
         inputs.
     hint : planned actions, tried first after the proposal.
-    team : columns, plans and frames of the other egos (`shield.certificate.simulated.workspace.Team`); None without.
+    team : columns, plans and frames of the other egos (`shield.certificate.simulated.workspace.OtherEgos`); None
+        without.
     """
 
-    search: Search
+    search: TrafficSearch
     worlds: Any
     who: Sequence[Any]
     lanes: Sequence[tuple[str, str, int]]
@@ -66,8 +67,10 @@ class Simulated:
             rows, ego = self.foretold()
         if not len(rows):
             return nothing_judged(at, record, name, nan, proposal, number_of_frame)
-        lost = Lost.GUARANTEE if at.tier.fallback and at.tier is not Tier.STORED_PLAN else Lost.NOTHING
-        tail = done(at, record, name, float(rows[0, ego, 3])), proof(at, lost)
+        lost = (
+            LostGuarantee.GUARANTEE if at.tier.fallback and at.tier is not Tier.STORED_PLAN else LostGuarantee.NOTHING
+        )
+        tail = executed_text(at, record, name, float(rows[0, ego, 3])), justification_text(at, lost)
         clause, cause, short, after, why = self._what(rows, ego)
         return Explanation(
             proposal, at.reason, clause, cause, short, after, why, *tail, at.margin, number_of_frame, lost
@@ -99,7 +102,7 @@ class Simulated:
         number_of_lane = int(self.worlds.g[0, LANE, column])
         several = len({(start, end) for start, end, _ in self.lanes}) > 1
         lane = lane_of(self.lanes[number_of_lane]) if several else f"lane {number_of_lane}"
-        return describe(bodies[ego, :6], bodies[column, :6], Described(self.who[column], lane))
+        return describe(bodies[ego, :6], bodies[column, :6], VehicleIdentity(self.who[column], lane))
 
     def _gaps(self, rows: FloatArray, ego: int) -> FloatArray:
         """Clearance beyond the buffer from each body at each frame, (frames + 1, m) [m]; inf for the ego and empty
@@ -108,7 +111,7 @@ class Simulated:
         for k, bodies in enumerate(rows):
             x, y, heading, speed, length, width, _ = bodies[ego]
             along, across = 0.5 * length + bounds.longitudinal, 0.5 * width + bounds.lateral
-            own = Ego(x, y, heading, speed, along, across, 0.5 * length, 0.5 * width, False)
+            own = EgoFootprint(x, y, heading, speed, along, across, 0.5 * length, 0.5 * width, False)
             near = np.hypot(bodies[:, 0] - x, bodies[:, 1] - y) < 40.0
             for i in np.flatnonzero(near & (bodies[:, 4] > 0)):
                 if i != ego:
@@ -125,7 +128,7 @@ class Simulated:
 
         The ego executes the proposal, and then the sequence that keeps the buffer longest.
         """
-        search = _apart(self.search)
+        search = _with_own_buffers(self.search)
         if self.team is not None:
             search.team.columns[:], search.team.plans[:], search.team.since[0] = self.team
         frames = (search.bounds.depth + 2) * int(search.rules.numbers[0])
@@ -136,11 +139,11 @@ class Simulated:
             return rows[:0], 0
         where = "highways" if search.bounds.straight else "networks"
         with announced(f"simulated explanations on {where}"):
-            count, ego = foretell_refused(search, self.worlds, int(action), inputs, self.hint, rows)
+            count, ego = simulate_refused(search, self.worlds, int(action), inputs, self.hint, rows)
         return rows[:count], ego
 
 
-def _apart(search: Search) -> Search:
+def _with_own_buffers(search: TrafficSearch) -> TrafficSearch:
     """The search with buffers of its own for a search in depth; those of the decisions stay unchanged."""
 
     def own(part: Any) -> Any:

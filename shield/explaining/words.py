@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from shield.decision import Decision, Intervention, Reason, Tier
-from shield.explanation import Explanation, Lost, number
+from shield.explanation import Explanation, LostGuarantee, number
 
-__all__ = ["action_name", "done", "inputs_name", "nothing_judged", "proof"]
+__all__ = ["action_name", "executed_text", "inputs_name", "justification_text", "nothing_judged"]
 
 _PROOFS = {
     Tier.STORED_PLAN: "the fail-safe that was verified before",
@@ -20,9 +20,11 @@ _PROOFS = {
     Tier.EMERGENCY: "the last resort, which is not verified",
 }
 _LOST = {
-    Lost.NOTHING: "nothing is lost: it still verifies",
-    Lost.PRECAUTION: "a precaution is lost and the guarantee is not: without vehicles that may cut in it verifies",
-    Lost.GUARANTEE: "the guarantee is lost",
+    LostGuarantee.NOTHING: "nothing is lost: it still verifies",
+    LostGuarantee.PRECAUTION: (
+        "a precaution is lost and the guarantee is not: without vehicles that may cut in it verifies"
+    ),
+    LostGuarantee.GUARANTEE: "the guarantee is lost",
 }
 
 
@@ -41,7 +43,7 @@ def inputs_name(inputs: Any) -> str:
     return f"{acceleration:+.1f} m/s², {np.degrees(wheel):+.1f}°".replace("-", "−")
 
 
-def done(at: Decision, record: Decision, name: Any, speed: float) -> str:
+def executed_text(at: Decision, record: Decision, name: Any, speed: float) -> str:
     """Text of what was executed instead of a proposal.
 
     Parameters
@@ -72,7 +74,7 @@ def _acceleration(command: Any) -> float | None:
     return None if given is None else float(given)
 
 
-def proof(at: Decision, lost: Lost) -> str:
+def justification_text(at: Decision, lost: LostGuarantee) -> str:
     """Text of the justification of what was executed."""
     if at.tier in _PROOFS:
         return f"{_PROOFS[at.tier]} ({_LOST[lost]})"
@@ -83,6 +85,9 @@ def proof(at: Decision, lost: Lost) -> str:
 
 def nothing_judged(at: Decision, record: Decision, name: Any, speed: float, proposal: str, frame: int) -> Explanation:
     """Explanation of a step without a verification: the action was invalid, or the scene or the policy failed."""
-    nothing, lost = float("nan"), Lost.NOTHING if at.tier in (Tier.STORED_PLAN, Tier.ALTERNATIVE) else Lost.GUARANTEE
-    tail = done(at, record, name, speed), proof(at, lost)
+    nothing, lost = (
+        float("nan"),
+        LostGuarantee.NOTHING if at.tier in (Tier.STORED_PLAN, Tier.ALTERNATIVE) else LostGuarantee.GUARANTEE,
+    )
+    tail = executed_text(at, record, name, speed), justification_text(at, lost)
     return Explanation(proposal, at.reason, "", None, nothing, nothing, at.reason.text, *tail, at.margin, frame, lost)

@@ -11,18 +11,18 @@ import numpy as np
 from dynamics.state import FloatArray
 from shield.explanation import Obstruction
 
-__all__ = ["Described", "describe", "lane_of", "place"]
+__all__ = ["VehicleIdentity", "describe", "lane_of", "place"]
 
 
 @dataclass(frozen=True, slots=True)
-class Described:
+class VehicleIdentity:
     """Identity of another vehicle: the object, or its column where there are no objects, and its lane."""
 
     vehicle: Any
     lane: str = ""
 
 
-def describe(ego: FloatArray, row: FloatArray, who: Described) -> Obstruction:
+def describe(ego: FloatArray, row: FloatArray, who: VehicleIdentity) -> Obstruction:
     """Description of another vehicle.
 
     Parameters

@@ -13,7 +13,7 @@ from dynamics.vehicle.actuators import Actuators
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.environments import check_configuration, frames_of
-from shield.filters.speed_recovery import Cruise
+from shield.filters.speed_recovery import SpeedRecovery
 
 __all__ = ["InputFrames"]
 
@@ -50,7 +50,7 @@ class InputFrames(ABC):
         check_configuration(base, self.config)
         self.actuators = Actuators.of(base.action_type)
         self._period = frames_of(base)
-        self._cruise = Cruise(self.actuators)
+        self._cruise = SpeedRecovery(self.actuators)
         self._untouched = True
         self._proposal: FloatArray | None = None
         self._first: tuple[FloatArray, Decision] | None = None

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dynamics.errors import ConfigError, SceneError
-from dynamics.scenes.parking_lot import LotReader, is_lot
+from dynamics.scenes.parking_lot import ParkingSceneReader, is_parking_lot
 from dynamics.scenes.scene import SceneReader
 from dynamics.state import FloatArray, State
 from dynamics.vehicle.actuators import Actuators
@@ -18,20 +18,20 @@ from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.explaining.scenes import explain_scene
 from shield.filters.input_frames import InputFrames
-from shield.filters.simulated.remedies import by_simulation
-from shield.pipelines.decide import Core, Unreadable, read
-from shield.pipelines.inputs import Inputs
-from shield.pipelines.parking_lot import ParkingLot
+from shield.filters.simulated.remedies import simulation_advice
+from shield.pipelines.decide import DecisionCore, Unreadable, read
+from shield.pipelines.inputs import InputPipeline
+from shield.pipelines.parking_lot import ParkingLotPipeline
 from shield.supported_environments import refuse_simulated
 
 if TYPE_CHECKING:
     from mpc.filter.program.road_step import StageModel
 
-__all__ = ["InputDoor"]
+__all__ = ["InputFilter"]
 
 
-class InputDoor(InputFrames):
-    """Filters the throttle and steering of one environment: on its road, or in its parking lot (`is_lot`).
+class InputFilter(InputFrames):
+    """Filters the throttle and steering of one environment: on its road, or in its parking lot (`is_parking_lot`).
 
     Parameters
     ----------
@@ -52,12 +52,12 @@ class InputDoor(InputFrames):
     def __init__(self, base: Any, config: ShieldConfig, agent: bool = False, model: StageModel | None = None) -> None:
         refuse_simulated(config)
         super().__init__(base, config)
-        self._lot, self._agent, self._model = is_lot(base), agent, model
+        self._lot, self._agent, self._model = is_parking_lot(base), agent, model
         if model is not None and (self._lot or agent):
             raise ConfigError("a model is for the predictive filter of ShieldedEnv on a road; leave it out here")
         # The core judges the kind of scene that the reader returns.
-        self._reader: Any = LotReader(base) if self._lot else SceneReader(base, curved=True)
-        self.core: Core[Any] = self._new_core()
+        self._reader: Any = ParkingSceneReader(base) if self._lot else SceneReader(base, curved=True)
+        self.core: DecisionCore[Any] = self._new_core()
         if base.road is not None and not self._off:
             self._check()
         _refuse_tyres(base)
@@ -65,13 +65,13 @@ class InputDoor(InputFrames):
         # Last, because its message suggests supervision, which the checks above would refuse as well.
         self._refuse_choices()
 
-    def _new_core(self) -> Core[Any]:
+    def _new_core(self) -> DecisionCore[Any]:
         """Decision core for the present actuators and frequencies of the environment."""
         self._made_for = self.actuators, self._period
         hold = self._period if self._agent else None
         if self._lot:
-            return Core(ParkingLot(self.config, self.actuators, hold), explain_scene)
-        return Core(Inputs(self.config, self.actuators, hold, model=self._model), explain_scene)
+            return DecisionCore(ParkingLotPipeline(self.config, self.actuators, hold), explain_scene)
+        return DecisionCore(InputPipeline(self.config, self.actuators, hold, model=self._model), explain_scene)
 
     def _refuse_choices(self) -> None:
         """Raise `ConfigError` for `DiscreteAction` without supervised frames."""
@@ -108,7 +108,7 @@ class InputDoor(InputFrames):
         if self._off:
             return
         self._check()
-        if not isinstance(procedure, Inputs):
+        if not isinstance(procedure, InputPipeline):
             return
         # An unreadable scene is handled by the first decision, which fails closed.
         with suppress(SceneError):
@@ -151,7 +151,7 @@ class InputDoor(InputFrames):
         try:
             self._reader.check()
         except SceneError as error:
-            instead = "" if self._base.road is None else by_simulation(self._base)
+            instead = "" if self._base.road is None else simulation_advice(self._base)
             if not instead:
                 raise
             raise SceneError(f"without simulation this road is not supported: {instead}. ({error})") from error
@@ -189,7 +189,7 @@ def _refuse_tyres(base: Any) -> None:
         return
     own = base.default_config()["action"].get("dynamical", False)
     kinematic = "" if own else 'pass config={"action": {"type": "ContinuousAction", "dynamical": False}} to gym.make'
-    mends = "; or ".join(each for each in (by_simulation(base), kinematic) if each)
+    mends = "; or ".join(each for each in (simulation_advice(base), kinematic) if each)
     raise ConfigError(
         "without simulation the shield knows highway-env's kinematic bicycle only, and this environment's "
         f"ContinuousAction is dynamical{': ' if mends else ''}{mends}"

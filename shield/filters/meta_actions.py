@@ -13,26 +13,26 @@ import numpy as np
 from dynamics.scenes.scene import Scene, SceneReader, Target
 from shield.config import RULES_ALONE, ShieldConfig
 from shield.decision import Decision, Reason, Tier
-from shield.environments import check_configuration, refuse_lots
+from shield.environments import check_configuration, refuse_parking_lots
 from shield.errors import SceneError
 from shield.explaining.scenes import explain_scene
 from shield.filters.discrete_action import action_index
 from shield.filters.supervision import Command
-from shield.perception.environment_free import BlindScenes
+from shield.perception.environment_free import EnvironmentFreeScenes
 from shield.perception.scenes import ObservedScenes
-from shield.pipelines.decide import Core, Unreadable, read
-from shield.pipelines.frames import Frames
-from shield.pipelines.meta_actions import MetaActions
-from shield.pipelines.meta_actions_only import MetaActionsOnly
+from shield.pipelines.decide import DecisionCore, Unreadable, read
+from shield.pipelines.frames import FramePipeline
+from shield.pipelines.meta_actions import MetaActionPipeline
+from shield.pipelines.meta_actions_only import UnsupervisedMetaActionPipeline
 from shield.pipelines.nearest_inputs import NearestInputs
-from shield.pipelines.screen import RuleAlone, Wish
+from shield.pipelines.screen import MetaActionProposal, RulePipeline
 from shield.rules import Rule
 from shield.supported_environments import refuse_simulated
 
-__all__ = ["MetaDoor"]
+__all__ = ["MetaActionFilter"]
 
 
-class MetaDoor:
+class MetaActionFilter:
     """Filters the meta-actions of one environment.
 
     Parameters
@@ -62,18 +62,22 @@ class MetaDoor:
         config: ShieldConfig,
         frames: bool = True,
         rule: Rule | None = None,
-        scenes: ObservedScenes | BlindScenes | None = None,
+        scenes: ObservedScenes | EnvironmentFreeScenes | None = None,
     ) -> None:
         if base is not None:
-            refuse_lots([base])
+            refuse_parking_lots([base])
             check_configuration(base, config)
         refuse_simulated(config)
         self.config, self._base, self._scenes = config, base, scenes
-        self.reader: SceneReader | ObservedScenes | BlindScenes = SceneReader(base) if scenes is None else scenes
-        self._meta: Any = MetaActions(config) if frames else MetaActionsOnly(config)
-        self._frames = Frames(config, NearestInputs(config) if config.repair == "filter" else None)
+        self.reader: SceneReader | ObservedScenes | EnvironmentFreeScenes = (
+            SceneReader(base) if scenes is None else scenes
+        )
+        self._meta: Any = MetaActionPipeline(config) if frames else UnsupervisedMetaActionPipeline(config)
+        self._frames = FramePipeline(config, NearestInputs(config) if config.repair == "filter" else None)
         self._alone = rule is not None or config.mode in RULES_ALONE
-        self.core: Core[Any] = Core(RuleAlone(config, rule) if self._alone else self._meta, explain_scene)
+        self.core: DecisionCore[Any] = DecisionCore(
+            RulePipeline(config, rule) if self._alone else self._meta, explain_scene
+        )
         self._passed: tuple[Decision, Target] | None = None
         self.cause = ""
         if base is not None and base.road is not None and config.mode != "none":
@@ -130,8 +134,8 @@ class MetaDoor:
         return self._scenes is not None and self.config.mode != "none"
 
     def begins(self) -> bool:
-        """Whether the last observation begins an episode that was not announced (`BlindScenes.begins`)."""
-        return self.observing and isinstance(self._scenes, BlindScenes) and self._scenes.begins()
+        """Whether the last observation begins an episode that was not announced (`EnvironmentFreeScenes.begins`)."""
+        return self.observing and isinstance(self._scenes, EnvironmentFreeScenes) and self._scenes.begins()
 
     def decide(self, action: Any, order: Callable[[], list[int] | None] | None = None) -> Decision:
         """Filter one meta-action; `order` returns the policy's order of preference over the others."""
@@ -142,10 +146,10 @@ class MetaDoor:
             return Decision(shown, shown, Reason.NONE, Tier.OFF, np.nan, 0.0)
         scene = read(self.reader)
         self.cause = scene.cause if isinstance(scene, Unreadable) else ""
-        decision = self.core.decide(scene, Wish(proposed, labels, order))
+        decision = self.core.decide(scene, MetaActionProposal(proposed, labels, order))
         if decision.tier is Tier.PASSED and isinstance(scene, Scene):
             self._passed = replace(self._rated(decision, scene), latency=0.0), scene.target_of(proposed)
-        if isinstance(self._scenes, BlindScenes):
+        if isinstance(self._scenes, EnvironmentFreeScenes):
             self._scenes.tell(int(decision.executed))
         return replace(self._rated(decision, scene), proposed=shown, latency=perf_counter() - start)
 
@@ -179,9 +183,9 @@ class MetaDoor:
             if self._base is None or self._base.road is None:
                 raise
             # Imported here, because the simulation takes longer to import.
-            from shield.filters.simulated.remedies import by_default, by_simulation
+            from shield.filters.simulated.remedies import default_advice, simulation_advice
 
-            instead = "; or ".join(each for each in (by_default(self._base), by_simulation(self._base)) if each)
+            instead = "; or ".join(each for each in (default_advice(self._base), simulation_advice(self._base)) if each)
             if not instead:
                 raise
             raise SceneError(f"this road is not supported with these settings: {instead}. ({error})") from error

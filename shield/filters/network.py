@@ -13,35 +13,41 @@ import numpy as np
 from dynamics.highway_simulator.layout import CRASHED, IMPACTED, LANE, SPEED, TARGET, TARGET_SPEED
 from dynamics.road_networks.geometry.layout import COUNT, ROAD
 from dynamics.road_networks.geometry.network import index_of
-from dynamics.road_networks.simulation.ego_alone import Alone, Course, alone_on
+from dynamics.road_networks.simulation.ego_alone import EgoManoeuvre, EgoOnNetwork, read_ego_on_network
 from dynamics.road_networks.simulation.frame_kernels import command, on_way
 from dynamics.road_networks.simulation.live import length_of_route, load_ego
-from shield.certificate.network.choice import Choice, choose, try_course
+from shield.certificate.network.choice import JudgedCandidate, choose, try_candidate
 from shield.certificate.network.clearance import CLEAR
-from shield.certificate.network.late_braking import Braking
-from shield.certificate.network.manoeuvres import Wish, courses_of, frames_of, gone_on_with, stopping
-from shield.certificate.network.mitigation import bare, save
-from shield.certificate.network.monitor import Breach, Seen, Watch, check_readable
-from shield.certificate.network.obligations import Dues
-from shield.certificate.network.prediction import Outlook, road_of
-from shield.certificate.network.workspace import Foreseen, empty_trial, foreseen
+from shield.certificate.network.late_braking import LateBraking
+from shield.certificate.network.manoeuvres import (
+    TargetCommand,
+    candidates_of,
+    frames_of,
+    remainder_after_frame,
+    stopping,
+)
+from shield.certificate.network.mitigation import mitigate, without_buffer
+from shield.certificate.network.monitor import NetworkMonitor, NetworkObservation, NetworkRule, check_readable
+from shield.certificate.network.obligations import RightOfWayObligations
+from shield.certificate.network.prediction import NetworkPredictor, network_context
+from shield.certificate.network.workspace import NetworkPrediction, empty_rollout, prediction_of
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Source, Tier
-from shield.environments import check_configuration, refuse_lots
+from shield.environments import check_configuration, refuse_parking_lots
 from shield.errors import SceneError
-from shield.explaining.roads import on_roads
+from shield.explaining.roads import network_decision_data
 from shield.filters.discrete_action import action_index, action_labels
-from shield.filters.simulated.predicted_scene import why_unread
+from shield.filters.simulated.predicted_scene import scene_failure
 from shield.filters.supervision import Command, limited_braking
 from shield.supported_environments import refuse_simulated
 
-__all__ = ["RoadDoor"]
+__all__ = ["NetworkFilter"]
 
 _OF_A_DECISION = ("_wish", "_left", "_ready", "_others", "_who", "_trial")
 """Attributes that a decision writes and its frames read."""
 
 
-class RoadDoor:
+class NetworkFilter:
     """Filters the meta-actions of one environment on a road network, frame by frame.
 
     A candidate follows the target command for some frames, and then brakes to a standstill. Its path has to stay clear
@@ -71,28 +77,28 @@ class RoadDoor:
     supervising = True
 
     def __init__(self, base: Any, config: ShieldConfig) -> None:
-        refuse_lots([base])
+        refuse_parking_lots([base])
         check_configuration(base, config)
         refuse_simulated(config)
         self.config, self._base, self.cause = config, base, ""
-        self._past: Counter[Breach] = Counter()
-        self.watch = Watch()
+        self._past: Counter[NetworkRule] = Counter()
+        self.watch = NetworkMonitor()
         self._forget()
         if base.road is not None:
             self._furnish()
 
     def _forget(self) -> None:
         self._past.update(self.watch.by_rule)
-        self.watch = Watch()
+        self.watch = NetworkMonitor()
         self._network: Any = None
-        self._dues = Dues()
-        self._stored: Course | None = None
-        self._wish: Wish | None = None
+        self._dues = RightOfWayObligations()
+        self._stored: EgoManoeuvre | None = None
+        self._wish: TargetCommand | None = None
         self._left = self._judged = -1
         self.disturbed = False
         self.kept: dict[Any, tuple[float, float]] = {}
         self._then: dict[Any, float] = {}
-        self._ready: tuple[Course, Decision] | None = None
+        self._ready: tuple[EgoManoeuvre, Decision] | None = None
 
     @property
     def _frequency(self) -> float:
@@ -123,9 +129,9 @@ class RoadDoor:
         return {self._names[k]: self._names[beside] for k, beside in enumerate(self._road.ways.over) if beside >= 0}
 
     @property
-    def foreseen(self) -> Foreseen:
+    def foreseen(self) -> NetworkPrediction:
         """Prediction that the last decision used."""
-        return foreseen(self._others, self._trial, self._names)
+        return prediction_of(self._others, self._trial, self._names)
 
     def counts_on(self, body: Any) -> bool:
         """Whether another vehicle is expected to wait for the ego, and has had its reaction time.
@@ -154,11 +160,11 @@ class RoadDoor:
             for body in hit:
                 body.crashed = True
 
-    def have_broken(self, bodies: Iterable[Any], since: Seen) -> set[Any]:
+    def have_broken(self, bodies: Iterable[Any], since: NetworkObservation) -> set[Any]:
         """Those of the vehicles that violated a rule in the frame from `since` to the last scene, whether or not the
         ego's fail-safe is affected."""
         last = self.watch.last
-        return set() if last is None else Watch(last=since).judge(last, set(bodies), self._road, set())
+        return set() if last is None else NetworkMonitor(last=since).judge(last, set(bodies), self._road, set())
 
     def record(self) -> None:
         """Keep in each decision the data for drawings, as with `ShieldConfig.record`."""
@@ -192,7 +198,7 @@ class RoadDoor:
             if bad:
                 decision = replace(decision, reason=Reason.BAD_ACTION, tier=Tier.ALTERNATIVE)
         except Exception as error:
-            reason, self.cause = why_unread(error)
+            reason, self.cause = scene_failure(error)
             self._wish, proposed = None, self._idle()
             decision = Decision(shown, proposed, reason, Tier.EMERGENCY, np.nan, 0.0)
         return replace(decision, proposed=shown, executed=proposed, latency=perf_counter() - start)
@@ -210,7 +216,7 @@ class RoadDoor:
             executed = decision.executed if command is None else command
             return command, replace(decision, executed=executed, latency=perf_counter() - start)
         except Exception as error:
-            reason, self.cause = why_unread(error)
+            reason, self.cause = scene_failure(error)
             self._stored = None
             speed = float(getattr(self._base.vehicle, "speed", 0.0))
             brake = limited_braking(-self.config.braking, speed, self._frequency)
@@ -222,7 +228,7 @@ class RoadDoor:
         try:
             self._read()
         except Exception as error:
-            _, self.cause = why_unread(error)
+            _, self.cause = scene_failure(error)
 
     def mask(self) -> np.ndarray[Any, Any]:
         """Mask of the actions that verify now; all True if none does. Read-only: changes no memory, record or later
@@ -237,7 +243,7 @@ class RoadDoor:
         mask = np.zeros(len(self._base.action_type.actions), dtype=bool)
         try:
             check_readable(self._see())
-            self._trial = empty_trial(self._frames, len(self._names), len(self._who))
+            self._trial = empty_rollout(self._frames, len(self._names), len(self._who))
             for action in range(len(mask)):
                 load_ego(self._base, self._alone.rules, self._index, self._alone.worlds)
                 self._intend(action)
@@ -250,7 +256,7 @@ class RoadDoor:
         """Set the target command of a meta-action."""
         alone, self._left = self._alone, self._bound
         command(alone.machine, alone.worlds, alone.rules, 0, 0, action)
-        self._wish = Wish(self._bound, float(alone.worlds.f[0, TARGET_SPEED, 0]))
+        self._wish = TargetCommand(self._bound, float(alone.worlds.f[0, TARGET_SPEED, 0]))
 
     def _idle(self) -> int:
         """Index of IDLE, or of SLOWER where there is no IDLE."""
@@ -275,15 +281,15 @@ class RoadDoor:
         if len(base.controlled_vehicles) != 1:
             raise SceneError(f"a road network requires one ego, not {len(base.controlled_vehicles)}")
         stays = {} if self._network is None else self._braking.stays
-        self._alone: Alone = alone_on(base)
+        self._alone: EgoOnNetwork = read_ego_on_network(base)
         self._network, self._index = base.road.network, index_of(base.road.network)
         self._names = list(self._index)
-        self._road = road_of(base, self._alone, self.config)
-        self._bare = bare(self._road)
+        self._road = network_context(base, self._alone, self.config)
+        self._bare = without_buffer(self._road)
         self._frames = frames_of(self._frequency)
-        self._braking: Braking = Braking.on(self._alone, self._road, self._frames, stays)
-        self._outlook = Outlook(base, self._alone, self._road, self._frames)
-        self._trial = empty_trial(self._frames, len(self._names), 0)
+        self._braking: LateBraking = LateBraking.on(self._alone, self._road, self._frames, stays)
+        self._outlook = NetworkPredictor(base, self._alone, self._road, self._frames)
+        self._trial = empty_rollout(self._frames, len(self._names), 0)
 
     def _read(self) -> None:
         """Read the scene and, once a frame, run the monitor."""
@@ -294,7 +300,7 @@ class RoadDoor:
         check_readable(seen)
         self._others.offends[:] = [body in self.watch.offenders for body in seen.who]
 
-    def _see(self) -> Seen:
+    def _see(self) -> NetworkObservation:
         """Read the scene."""
         base = self._base
         if base.road.network is not self._network or length_of_route(base) > self._alone.worlds.routes.shape[2]:
@@ -303,18 +309,18 @@ class RoadDoor:
         seen = self._look()
         self._others, self._who = seen.others, seen.who
         if len(self._trial.margins) != len(seen.who):
-            self._trial = empty_trial(self._frames, len(self._names), len(seen.who))
+            self._trial = empty_rollout(self._frames, len(self._names), len(seen.who))
         if self.watch.last is None:
             # At the beginning every follower has seen the ego for long enough to react.
             self._try(stopping(self._bound, self.config.braking))
             self._keep_distance(seen.who, True)
         return seen
 
-    def _look(self) -> Seen:
+    def _look(self) -> NetworkObservation:
         """Predict the reachable places of the other vehicles."""
         return self._outlook.look(self._dues)
 
-    def _watch(self, seen: Seen) -> None:
+    def _watch(self, seen: NetworkObservation) -> None:
         """Run the monitor on the motions since the last scene."""
         margins, late, self.kept, ego = None, set[Any](), {}, self._base.vehicle
         # A crashed ego does not obey its commands. An ego about to be hit has obeyed so far: it is judged without the
@@ -333,29 +339,29 @@ class RoadDoor:
         worlds = self._alone.worlds
         return bool(on_way(self._alone.rules, worlds.f[0], worlds.g[0])[1])
 
-    def _try(self, course: Course) -> None:
+    def _try(self, course: EgoManoeuvre) -> None:
         """Write the rollout of a candidate to the trial buffer; vehicles with a distance obligation keep their
         distance."""
-        try_course(self._alone, self._road, self._others, np.array(course, float), True, self._trial)
+        try_candidate(self._alone, self._road, self._others, np.array(course, float), True, self._trial)
 
     def _keep_distance(self, who: list[Any], verified: bool) -> None:
         """Update the distance obligations for the candidate in the trial buffer."""
         self._dues.keep_distance(who, self._others, self._trial, self._road, verified)
 
-    def _choose(self) -> tuple[Course, Decision]:
+    def _choose(self) -> tuple[EgoManoeuvre, Decision]:
         """The chosen candidate, and the record."""
         alone, braking = self._alone, self.config.braking
         if self._wish is None:
-            self._wish = Wish(self._bound, float(alone.worlds.f[0, TARGET_SPEED, 0]))
+            self._wish = TargetCommand(self._bound, float(alone.worlds.f[0, TARGET_SPEED, 0]))
         speed, several = float(alone.worlds.f[0, SPEED, 0]), self._road.lanes.ids[self._wish.lane, COUNT] > 1
-        tried = list(courses_of(self._wish, self._stored, speed, self._lanes(), several, self._frequency, braking))
+        tried = list(candidates_of(self._wish, self._stored, speed, self._lanes(), several, self._frequency, braking))
         courses = np.array([course for course, _ in tried], float)
         room = self._trial, self._braking.bodies
-        found: Choice = choose(alone, self._road, self._bare.body, self._others, courses, *room)
+        found: JudgedCandidate = choose(alone, self._road, self._bare.body, self._others, courses, *room)
         margin, who, evades = found.margin, found.vehicle, found.innocent >= CLEAR
         if margin < CLEAR and found.clear == 0:
             # No candidate keeps the buffer: choose by the bodies alone (collision mitigation).
-            evades, found = False, save(alone, self._bare, self._others, courses, speed, *room)
+            evades, found = False, mitigate(alone, self._bare, self._others, courses, speed, *room)
         course, tier = tried[found.course]
         reason = Reason.NONE if tier is Tier.PASSED else Reason.UNVERIFIED
         if margin < CLEAR:
@@ -365,10 +371,10 @@ class RoadDoor:
         plan = self.foreseen.path if self.config.record else None
         return course, Decision(-1, -1, reason, tier, float(margin), 0.0, plan, vehicle=int(who), source=source)
 
-    def _kept(self, tried: list[tuple[Course, Tier]]) -> Source:
+    def _kept(self, tried: list[tuple[EgoManoeuvre, Tier]]) -> Source:
         """Data for an explanation of the decision."""
         ego, labels = self._base.vehicle, action_labels(self._base)
-        return on_roads(
+        return network_decision_data(
             self._alone,
             road=self._road,
             body=self._bare.body,
@@ -380,7 +386,7 @@ class RoadDoor:
             size=(float(ego.LENGTH), float(ego.WIDTH)),
         )
 
-    def _go(self, course: Course, tier: Tier) -> None:
+    def _go(self, course: EgoManoeuvre, tier: Tier) -> None:
         """Record the chosen candidate, and update the obligations from its rollout in the trial buffer."""
         who = [] if self.watch.last is None else self.watch.last.who
         self._then = {body: float(self._trial.margins[i]) for i, body in enumerate(who)} if tier.verified else {}
@@ -390,7 +396,7 @@ class RoadDoor:
         if self._road.duty.gives_way:
             self._dues.give_way(who, self._others, self._trial, self._road, tier.verified)
         bound = int(self._trial.bound[0])
-        self._stored = gone_on_with(course, bound)
+        self._stored = remainder_after_frame(course, bound)
         if self._wish is not None and course.lane == self._wish.lane and course.frames >= 1:
             self._wish = self._wish._replace(lane=bound)
 

@@ -8,13 +8,13 @@ from dynamics.state import FloatArray
 from dynamics.vehicle.actuators import Actuators
 from dynamics.vehicle.controllers import KP_SPEED
 
-__all__ = ["Cruise"]
+__all__ = ["SpeedRecovery"]
 
 _SAME_SPEED = 1e-3
 """Speeds that differ by less count as equal [m/s]."""
 
 
-class Cruise:
+class SpeedRecovery:
     """Brings the ego of a policy that only steers back to its speed before the shield braked.
 
     Parameters

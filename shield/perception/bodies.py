@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import kernel_no_refcount
 from dynamics.state import FloatArray, Vehicle
 
 __all__ = ["STANDING", "bodies", "bounded", "unseen_bodies"]
@@ -60,7 +60,7 @@ def unseen_bodies(states: FloatArray, body: tuple[float, float]) -> FloatArray:
     return rows
 
 
-@uncounted
+@kernel_no_refcount
 def _widen(mean: FloatArray, low: FloatArray, high: FloatArray, x: float, states: FloatArray) -> None:
     for a in range(len(mean)):
         states[a, 2] = high[a, 2] if mean[a, 0] < x else low[a, 2]
@@ -68,14 +68,14 @@ def _widen(mean: FloatArray, low: FloatArray, high: FloatArray, x: float, states
         states[a, 0], states[a, 1] = 0.5 * (low[a, 0] + high[a, 0]), 0.5 * (low[a, 1] + high[a, 1])
 
 
-@uncounted
+@kernel_no_refcount
 def _lengthen(low: FloatArray, high: FloatArray, rows: FloatArray) -> None:
     for a in range(len(rows)):
         rows[a, _LENGTH] += high[a, 0] - low[a, 0]
         rows[a, _WIDTH] += high[a, 1] - low[a, 1]
 
 
-@uncounted
+@kernel_no_refcount
 def _fill(states: FloatArray, length: float, width: float, rows: FloatArray) -> None:
     for a in range(len(states)):
         x, y, vx, vy = states[a, 0], states[a, 1], states[a, 2], states[a, 3]

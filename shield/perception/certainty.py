@@ -7,7 +7,7 @@ import numpy as np
 from dynamics.state import FloatArray
 from shield.perception.tracking import Tracks
 
-__all__ = ["within"]
+__all__ = ["probability_within"]
 
 _RINGS = 16
 """A normal distribution is approximated by this many rings of as many points, of equal probability."""
@@ -25,7 +25,7 @@ def _points() -> FloatArray:
 _POINTS = _points()
 
 
-def within(tracks: Tracks, distance: float) -> FloatArray:
+def probability_within(tracks: Tracks, distance: float) -> FloatArray:
     """Probability of each vehicle that its centre is at most `distance` [m] from the mean of its track, (n,).
 
     The probability is that of the mixture of the three filters, from a fixed set of points, with an error of about

@@ -21,14 +21,14 @@ from shield.perception.scenes import perception_of
 from shield.perception.sighting import decode
 from shield.perception.unwrapping import latest
 
-__all__ = ["BlindScenes"]
+__all__ = ["EnvironmentFreeScenes"]
 
-_ASTRAY = 0.05
+_STATE_TOLERANCE = 0.05
 """Tolerance between the observed and the commanded state of the ego, beyond the noise [m], [m/s]."""
 _SIGMAS = 6.0
 
 
-class BlindScenes:
+class EnvironmentFreeScenes:
     """Scenes from observations, with the interface of a `SceneReader`, without an environment.
 
     The clock is the count of decisions. The target command follows from the initial lane and speed and the actions
@@ -50,7 +50,7 @@ class BlindScenes:
         # Estimated noise is unknown so far; the ego's own row is mostly exact.
         told = known.noise if settings.noise == "estimate" else settings.noise
         blurred = np.zeros(4) if told is None else np.asarray(told, dtype=float)
-        self._astray = _ASTRAY + _SIGMAS * np.array([blurred[1], np.hypot(*blurred[2:])])
+        self._astray = _STATE_TOLERANCE + _SIGMAS * np.array([blurred[1], np.hypot(*blurred[2:])])
         self.check()
 
     @property

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.state import FloatArray, IntArray
-from shield.perception.filters import FAR, LEAST, SWAP, SWAPS, Course, side
+from shield.perception.filters import FAR, LEAST, ROW_COST, ROW_COST_LIMIT, StateTransition, normal_score
 
 __all__ = ["costs", "distances", "expected", "mixture", "moved", "quantiles", "scores", "taken_in"]
 
@@ -21,7 +21,7 @@ _DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
 
 
 def moved(
-    means: FloatArray, covariances: FloatArray, course: Course, pushed: FloatArray, centers: FloatArray
+    means: FloatArray, covariances: FloatArray, course: StateTransition, pushed: FloatArray, centers: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """See `filters.moved`."""
     means, covariances = means.copy(), covariances.copy()
@@ -34,7 +34,7 @@ def expected(
     means: FloatArray,
     covariances: FloatArray,
     changes: FloatArray,
-    course: Course,
+    course: StateTransition,
     pushed: FloatArray,
     centers: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -108,10 +108,10 @@ def scores(
     """See `filters.scores`."""
     shares = np.empty((2, len(rows), 4))
     _divide(chances, means, covariances, seen, noise, rows, columns, shares)
-    return side(shares[0], shares[1])
+    return normal_score(shares[0], shares[1])
 
 
-@inlined
+@kernel_inline
 def _mix(shares: Any, means: FloatArray, covariances: FloatArray, mean: FloatArray, covariance: FloatArray) -> None:
     """Mean (4,) and covariance (4, 4) of a mixture of three normal distributions, (3, 4) and (3, 4, 4)."""
     for k in range(4):
@@ -125,7 +125,7 @@ def _mix(shares: Any, means: FloatArray, covariances: FloatArray, mean: FloatArr
             covariance[k, i] = covariance[i, k] = total
 
 
-@uncounted
+@kernel_no_refcount
 def _mix_all(
     chances: FloatArray, means: FloatArray, covariances: FloatArray, mean: FloatArray, covariance: FloatArray
 ) -> None:
@@ -133,7 +133,7 @@ def _mix_all(
         _mix(chances[a], means[a], covariances[a], mean[a], covariance[a])
 
 
-@uncounted
+@kernel_no_refcount
 def _begin(
     chances: FloatArray,
     means: FloatArray,
@@ -157,8 +157,10 @@ def _begin(
             _mix((first, second, third), means[a], covariances[a], mixed[a, j], spread[a, j])
 
 
-@uncounted
-def _move(means: FloatArray, covariances: FloatArray, course: Course, pushed: FloatArray, centers: FloatArray) -> None:
+@kernel_no_refcount
+def _move(
+    means: FloatArray, covariances: FloatArray, course: StateTransition, pushed: FloatArray, centers: FloatArray
+) -> None:
     for a in range(len(means)):
         for j in range(3):
             mean, p = means[a, j], covariances[a, j]
@@ -189,7 +191,7 @@ def _move(means: FloatArray, covariances: FloatArray, course: Course, pushed: Fl
                 p[3, 3] = course.sway
 
 
-@inlined
+@kernel_inline
 def _root(p: FloatArray, noise: FloatArray, root: FloatArray) -> None:
     """The lower triangle (4, 4) of which p + noise is the square (Cholesky); the diagonal is inverted."""
     for k in range(4):
@@ -200,7 +202,7 @@ def _root(p: FloatArray, noise: FloatArray, root: FloatArray) -> None:
             root[k, i] = 1.0 / math.sqrt(total) if k == i else total * root[i, i]
 
 
-@uncounted
+@kernel_no_refcount
 def _measure(
     means: FloatArray,
     covariances: FloatArray,
@@ -223,16 +225,16 @@ def _measure(
                 away[a, j, b] = z0 * z0 + z1 * z1 + z2 * z2 + z3 * z3
 
 
-@uncounted
+@kernel_no_refcount
 def _price(away: FloatArray, places: FloatArray, at: FloatArray, least: FloatArray, cost: FloatArray) -> None:
     for a in range(len(places)):
         for b in range(len(at)):
             least[a, b] = min(away[a, 0, b], away[a, 1, b], away[a, 2, b])
             swaps = abs(places[a] - at[b])
-            cost[a, b] = min(least[a, b], FAR) + (SWAP * min(swaps, SWAPS) if swaps == swaps else 0.0)
+            cost[a, b] = min(least[a, b], FAR) + (ROW_COST * min(swaps, ROW_COST_LIMIT) if swaps == swaps else 0.0)
 
 
-@inlined
+@kernel_inline
 def _gains(p: FloatArray, noise: FloatArray, root: FloatArray, gain: FloatArray) -> None:
     """Kalman gain p (p + noise)^-1, (4, 4)."""
     _root(p, noise, root)
@@ -249,7 +251,7 @@ def _gains(p: FloatArray, noise: FloatArray, root: FloatArray, gain: FloatArray)
             gain[i, k] = total * root[k, k]
 
 
-@inlined
+@kernel_inline
 def _around(left: FloatArray, middle: FloatArray, half: FloatArray, found: FloatArray) -> None:
     """left @ middle @ left.T, for a symmetric `middle`."""
     for i in range(4):
@@ -267,7 +269,7 @@ def _around(left: FloatArray, middle: FloatArray, half: FloatArray, found: Float
             )
 
 
-@uncounted
+@kernel_no_refcount
 def _take_in(
     chances: FloatArray,
     means: FloatArray,
@@ -308,13 +310,13 @@ def _take_in(
                     p[i, k] = root[i, k] + rest[i, k]
 
 
-@inlined
+@kernel_inline
 def _tail(z: float) -> float:
     """Probability that a standard normal variable is above z."""
     return 0.5 * math.erfc(z * _ROOT)
 
 
-@inlined
+@kernel_inline
 def _edge(
     chances: FloatArray, m: tuple[float, float, float], s: tuple[float, float, float], bound: float, level: float
 ) -> float:
@@ -355,7 +357,7 @@ def _edge(
     return outside
 
 
-@uncounted
+@kernel_no_refcount
 def _find(
     chances: FloatArray, means: FloatArray, covariances: FloatArray, bounds: FloatArray, found: FloatArray
 ) -> None:
@@ -369,7 +371,7 @@ def _find(
             found[1, a, k] = _edge(chances[a], (m[0, k], m[1, k], m[2, k]), s, bounds[1, k], above)
 
 
-@uncounted
+@kernel_no_refcount
 def _divide(
     chances: FloatArray,
     means: FloatArray,

@@ -19,35 +19,35 @@ from dynamics.state import FloatArray, IntArray
 
 __all__ = [
     "FAR",
-    "FARTHEST",
     "LEAST",
-    "SWAP",
-    "SWAPS",
-    "Course",
+    "ROW_COST",
+    "ROW_COST_LIMIT",
+    "SCORE_LIMIT",
+    "StateTransition",
     "costs",
     "distances",
-    "expected",
+    "measurement_update",
     "mixture",
-    "moved",
+    "normal_score",
+    "predict",
+    "predict_state",
     "quantiles",
     "scores",
-    "side",
-    "taken_in",
 ]
 
 LEAST = 1e-12
 """Least probability of a model. A probability of 0 could not increase again."""
-FARTHEST = 8.0
+SCORE_LIMIT = 8.0
 """Greatest bound and greatest score, in standard deviations."""
 FAR = 1e6
 """Cost of a match beyond every gate."""
-SWAP, SWAPS = 2.0, 3.0
+ROW_COST, ROW_COST_LIMIT = 2.0, 3.0
 """Cost of a match for each row of difference between two observations, as a squared distance, and the rows that count
 at most. Sorted rows identify a vehicle where its state alone does not."""
 _HALVINGS = 48
 
 
-class Course(NamedTuple):
+class StateTransition(NamedTuple):
     """Deterministic part of a state transition within a time step.
 
     Attributes
@@ -69,8 +69,8 @@ class Course(NamedTuple):
     sway: float
 
 
-def moved(
-    means: FloatArray, covariances: FloatArray, course: Course, pushed: FloatArray, centers: FloatArray
+def predict_state(
+    means: FloatArray, covariances: FloatArray, course: StateTransition, pushed: FloatArray, centers: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Means and covariances one step later.
 
@@ -94,12 +94,12 @@ def moved(
     return after, spread
 
 
-def expected(
+def predict(
     chances: FloatArray,
     means: FloatArray,
     covariances: FloatArray,
     changes: FloatArray,
-    course: Course,
+    course: StateTransition,
     pushed: FloatArray,
     centers: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -114,7 +114,7 @@ def expected(
     led = np.swapaxes(chances[:, :, None] * changes / after[:, None, :], 1, 2)
     begun = [mixture(led[:, j], means, covariances) for j in range(chances.shape[1])]
     mixed, spread = (np.stack(each, axis=1) for each in zip(*begun, strict=True))
-    return after, *moved(mixed, spread, course, pushed, centers)
+    return after, *predict_state(mixed, spread, course, pushed, centers)
 
 
 def mixture(chances: FloatArray, means: FloatArray, covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -150,11 +150,11 @@ def costs(away: FloatArray, places: FloatArray, at: FloatArray) -> tuple[FloatAr
         carry no information.
     """
     least = away.min(axis=1, initial=np.inf)
-    swaps = np.nan_to_num(np.minimum(np.abs(places[:, None] - at), SWAPS))
-    return least, np.minimum(least, FAR) + SWAP * swaps
+    swaps = np.nan_to_num(np.minimum(np.abs(places[:, None] - at), ROW_COST_LIMIT))
+    return least, np.minimum(least, FAR) + ROW_COST * swaps
 
 
-def taken_in(
+def measurement_update(
     chances: FloatArray,
     means: FloatArray,
     covariances: FloatArray,
@@ -222,17 +222,17 @@ def scores(
     rows: IntArray,
     columns: IntArray,
 ) -> FloatArray:
-    """Innovations of k vehicles as normal scores, (k, 4), from -`FARTHEST` to `FARTHEST`.
+    """Innovations of k vehicles as normal scores, (k, 4), from -`SCORE_LIMIT` to `SCORE_LIMIT`.
 
     Vehicles `rows` (k,) were observed as `columns` (k,) of `seen`. A score is above b if and only if the observation is
     beyond the quantile of the predicted observation that belongs to the bound b.
     """
     spread = np.sqrt(np.einsum("njii->nji", covariances[rows]) + np.diag(noise))
     apart, chosen = (seen[columns][:, None] - means[rows]) / spread, chances[rows][:, :, None]
-    return side((chosen * ndtr(apart)).sum(axis=1), (chosen * ndtr(-apart)).sum(axis=1))
+    return normal_score((chosen * ndtr(apart)).sum(axis=1), (chosen * ndtr(-apart)).sum(axis=1))
 
 
-def side(below: FloatArray, above: FloatArray) -> FloatArray:
+def normal_score(below: FloatArray, above: FloatArray) -> FloatArray:
     """Normal score with probability `below` below it and `above` above it; the smaller probability is the exact one."""
     where: FloatArray = np.where(below < above, ndtri(np.minimum(below, 0.5)), -ndtri(np.minimum(above, 0.5)))
-    return np.clip(where, -FARTHEST, FARTHEST)
+    return np.clip(where, -SCORE_LIMIT, SCORE_LIMIT)

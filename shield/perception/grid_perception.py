@@ -16,10 +16,10 @@ from dynamics.state import BoolArray, FloatArray, IntArray, RoadState, State, Ve
 from shield.decision import Guarantee
 from shield.errors import ConfigError, SceneError
 from shield.perception.bodies import unseen_bodies
-from shield.perception.grid_sighting import GridSighting, decode_grid, reach_of
+from shield.perception.grid_sighting import DecodedGrid, covered_distance, decode_grid
 from shield.perception.grid_spec import GridSpec
 from shield.perception.perceiving import PerceptionConfig
-from shield.perception.unseen import Behind, ahead
+from shield.perception.unseen import UnseenBehind, unseen_ahead
 
 __all__ = ["GridPerception"]
 
@@ -67,7 +67,7 @@ class GridPerception:
         if self.config.noise is not None or self.config.delay:
             raise ConfigError("noise and delay are of Kinematics observations; a grid has neither")
         breadth = float(road.centers[-1] - road.centers[0])
-        if min(reach_of(spec, -breadth, breadth, 0.0)) <= 0:
+        if min(covered_distance(spec, -breadth, breadth, 0.0)) <= 0:
             raise ConfigError(
                 f"the grid does not reach across the road: set config['observation']['grid_size'] to at least "
                 f"{-breadth:g} to {breadth:g} across, it is {spec.size[1]}"
@@ -76,7 +76,7 @@ class GridPerception:
 
     def reset(self) -> None:
         """Clear everything about the episode."""
-        self.behind = Behind()
+        self.behind = UnseenBehind()
         self.edges = self.spec.distance, self.spec.distance
         self._frame: int | None = None
         self._ids: IntArray = np.zeros(0, np.intp)
@@ -128,7 +128,7 @@ class GridPerception:
         unseen, to_road = self.config.unseen, self._road.to_road
         ghosts = np.concatenate(
             [
-                ahead(self.spec, self.edges[0], unseen, self._road, place, to_road(rows)),  # type: ignore[arg-type]
+                unseen_ahead(self.spec, self.edges[0], unseen, self._road, place, to_road(rows)),  # type: ignore[arg-type]
                 self.behind.states(unseen, self._road, place, self.spec.distance),
             ]
         )
@@ -187,7 +187,7 @@ class GridPerception:
         self._passed, self._ego_speed = passed, float(_velocity(ego)[0])
         self._ids, self._low, self._high = ids, low, high
 
-    def _look_around(self, sighting: GridSighting, r: float, heading: float) -> None:
+    def _look_around(self, sighting: DecodedGrid, r: float, heading: float) -> None:
         """Update the edges of sight, and the vehicles that may be beyond the edge behind.
 
         Parameters
@@ -195,7 +195,7 @@ class GridPerception:
         r : lateral position of the ego on the road [m]. heading : of the ego, relative to the road [rad].
         """
         centers = self._road.centers
-        far, back = reach_of(self.spec, float(centers[0]) - r, float(centers[-1]) - r, heading)
+        far, back = covered_distance(self.spec, float(centers[0]) - r, float(centers[-1]) - r, heading)
         if sighting.cut:
             far, back = min(far, self.spec.body[0]), min(back, self.spec.body[0])
         self.edges = far, back
@@ -213,7 +213,7 @@ class GridPerception:
         rows[:, [Vehicle.LENGTH, Vehicle.WIDTH]] = self.spec.body + (high - low)[:, :2]
         return rows
 
-    def _hidden(self, sighting: GridSighting, ego: FloatArray, r: float) -> FloatArray:
+    def _hidden(self, sighting: DecodedGrid, ego: FloatArray, r: float) -> FloatArray:
         """Vehicle rows of vehicles that a cell may hide beside the visible one, (n, 7).
 
         A cell holds two bodies only if there is room for both: in another lane, or in the same lane if the cell is

@@ -20,7 +20,7 @@ from shield.perception.grid_spec import GridSpec
 from shield.perception.sighting import numbers_of
 from shield.perception.spec import STATE
 
-__all__ = ["GridSighting", "decode_grid", "lane_in_grid", "reach_of"]
+__all__ = ["DecodedGrid", "covered_distance", "decode_grid", "lane_in_grid"]
 
 _EDGE = 1.0 - 1e-6
 _BYTE = 255.0
@@ -29,7 +29,7 @@ _SLACK = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GridSighting:
+class DecodedGrid:
     """One decoded grid.
 
     Attributes
@@ -45,7 +45,7 @@ class GridSighting:
     cut: bool
 
 
-def decode_grid(spec: GridSpec, observation: object, heading: float = 0.0) -> GridSighting:
+def decode_grid(spec: GridSpec, observation: object, heading: float = 0.0) -> DecodedGrid:
     """Decode a grid.
 
     Parameters
@@ -80,7 +80,7 @@ def decode_grid(spec: GridSpec, observation: object, heading: float = 0.0) -> Gr
         else:
             cut |= edge
         low[:, k], high[:, k] = lower, upper
-    return GridSighting(low[~cut], high[~cut], np.concatenate([cells[:1], cells[1:][~cut]]), bool(cut.any()))
+    return DecodedGrid(low[~cut], high[~cut], np.concatenate([cells[:1], cells[1:][~cut]]), bool(cut.any()))
 
 
 def lane_in_grid(spec: GridSpec, observation: object, centers: FloatArray) -> int:
@@ -120,7 +120,7 @@ def lane_in_grid(spec: GridSpec, observation: object, centers: FloatArray) -> in
     return fits[0]
 
 
-def reach_of(spec: GridSpec, left: float, right: float, heading: float) -> tuple[float, float]:
+def covered_distance(spec: GridSpec, left: float, right: float, heading: float) -> tuple[float, float]:
     """Distance ahead and behind the ego over which the grid covers the whole width of the road [m]; 0 where it does
     not.
 

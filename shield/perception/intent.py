@@ -23,7 +23,7 @@ from dynamics.traffic.mobil import COMFORT, GAP, TIME, TWICE_ROOT
 from shield.errors import ConfigError
 from shield.perception.tracking import Tracks
 
-__all__ = ["HABITS", "Habits", "lane_chances", "wishes"]
+__all__ = ["LANE_CHANGE_MODEL", "LaneChangeModel", "lane_chances", "lane_change_gains"]
 
 _CALM = 0
 _X, _Y, _VX, _VY = range(4)
@@ -35,7 +35,7 @@ _LEAST_GAIN, _MOST_BRAKING = 0.2, 2.0
 """MOBIL's least incentive of a change, and the greatest braking that it may impose on the new follower [m/s^2]."""
 
 
-class Habits(NamedTuple):
+class LaneChangeModel(NamedTuple):
     """Parameters of lane changes.
 
     Attributes
@@ -58,17 +58,19 @@ class Habits(NamedTuple):
     doubt: float
 
 
-HABITS = Habits(reach=0.48, stray=1.0, eager=0.65, idle=0.0026, fade=1.0, doubt=0.45)
+LANE_CHANGE_MODEL = LaneChangeModel(reach=0.48, stray=1.0, eager=0.65, idle=0.0026, fade=1.0, doubt=0.45)
 """Fitted to highway-env's vehicles, 2 s ahead: `python benchmarks/intent.py --fit --seed 5004 --episodes 12`."""
 
 
-def lane_chances(tracks: Tracks, wished: FloatArray, centers: FloatArray, habits: Habits = HABITS) -> FloatArray:
+def lane_chances(
+    tracks: Tracks, wished: FloatArray, centers: FloatArray, habits: LaneChangeModel = LANE_CHANGE_MODEL
+) -> FloatArray:
     """Probability of each lane that each vehicle will be in it, (n, lanes); each row sums to 1.
 
     Parameters
     ----------
     tracks : n tracked vehicles, on a road along x.
-    wished : probability that a change has an incentive, (n, 2), from `wishes`.
+    wished : probability that a change has an incentive, (n, 2), from `lane_change_gains`.
     centers : lane centres along y, ascending, (lanes,) [m].
     habits : parameters of lane changes, for one prediction time.
 
@@ -93,7 +95,7 @@ def lane_chances(tracks: Tracks, wished: FloatArray, centers: FloatArray, habits
     return found
 
 
-def wishes(tracks: Tracks, ego: FloatArray, centers: FloatArray) -> FloatArray:
+def lane_change_gains(tracks: Tracks, ego: FloatArray, centers: FloatArray) -> FloatArray:
     """Probability of each vehicle that a change to the lane below (in y) or above has an incentive by MOBIL, (n, 2).
 
     The probability is the share of 16 samples of all states. The desired speed of a vehicle is taken to be its present

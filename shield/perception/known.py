@@ -20,7 +20,7 @@ from dynamics.roads.straight import StraightRoad
 from shield.errors import ConfigError
 from shield.perception.clipping import check_ranges
 from shield.perception.grid_spec import GridSpec, Spec, spec_from_config
-from shield.perception.unwrapping import SAME, check_wrappers
+from shield.perception.unwrapping import TRANSPARENT_WRAPPERS, check_wrappers
 from shield.supported_environments import check_frequency, check_target_speeds, refuse_manual_control
 
 __all__ = ["Known"]
@@ -42,7 +42,7 @@ _PASSIVE = (
 _LONG = 1e5
 """An episode of more decisions than this counts as endless."""
 _SENSOR, _DELAY = "sensor_noise", "sensor_delay"
-_ASKED = ("get_attr", "has_attr", "env_method", "env_is_wrapped")
+_QUERY_METHODS = ("get_attr", "has_attr", "env_method", "env_is_wrapped")
 """Methods of a VecEnv by which its environments are queried."""
 
 
@@ -165,14 +165,16 @@ class Known:
         check_wrappers(env, ())
         if isinstance(env, VecEnvWrapper):
             return cls.of(env.venv)
-        lacking = [name for name in _ASKED if not hasattr(env, name)]
+        lacking = [name for name in _QUERY_METHODS if not hasattr(env, name)]
         if lacking:
             raise ConfigError(
                 f"{type(env).__name__} cannot be queried for its configuration: it lacks {', '.join(lacking)}: have a "
                 "VecEnv of stable-baselines3, or pass Shield(..., known=Known(...)) with its road map"
             )
         layers, configs = _layers(env), env.get_attr("config")
-        sensor = any(name not in _PASSIVE + SAME for each in layers for name in each[:-1]) and env.has_attr(_SENSOR)
+        sensor = any(
+            name not in _PASSIVE + TRANSPARENT_WRAPPERS for each in layers for name in each[:-1]
+        ) and env.has_attr(_SENSOR)
         found = []
         for i, (names, config) in enumerate(zip(layers, configs, strict=True)):
             _check(names, sensor, any(env.env_is_wrapped(gym.ObservationWrapper, i)))
@@ -236,7 +238,7 @@ def _check(names: list[str], sensor: bool, observes: bool) -> None:
             f"the road of {base} is not known beforehand: have {' and '.join(_HIGHWAYS)}, or pass "
             "Shield(..., known=Known(...)) with its road map"
         )
-    unknown = [name for name in wrappers if name not in _PASSIVE + SAME]
+    unknown = [name for name in wrappers if name not in _PASSIVE + TRANSPARENT_WRAPPERS]
     if observes and len(unknown) > sensor:
         check_wrappers(None, tuple(unknown))
 

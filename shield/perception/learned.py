@@ -12,8 +12,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from dynamics.state import FloatArray
-from shield.perception.filters import FARTHEST
-from shield.perception.tracking import Surprise
+from shield.perception.filters import SCORE_LIMIT
+from shield.perception.tracking import Innovations
 
 __all__ = ["RESOLUTION", "WIDEST", "Conformal", "Learned", "Noise"]
 
@@ -33,7 +33,7 @@ _FARTHEST_STEP, _FEW = 3.0, 10.0
 (the first). A vehicle that changes lanes carries no information about the sensor."""
 
 _BINS = 640
-_EDGES = np.linspace(-FARTHEST, FARTHEST, _BINS + 1)
+_EDGES = np.linspace(-SCORE_LIMIT, SCORE_LIMIT, _BINS + 1)
 _RECENT = 2_000.0
 _PRIOR = 200.0
 """Weight of the prior normal distribution, as a number of observed vehicles."""
@@ -59,7 +59,7 @@ class Noise:
     count: float = 0.0
 
     def after(self, steps: FloatArray) -> Noise:
-        """Estimate with `Surprise.steps` (l, 4) added."""
+        """Estimate with `Innovations.steps` (l, 4) added."""
         left, squares = math.exp(-len(steps) / _MEMORY), 0.5 * np.square(steps)
         if self.count > _FEW:
             squares = np.minimum(squares, _FARTHEST_STEP**2 * self.squares / self.count)
@@ -87,16 +87,16 @@ class Conformal:
     """Bounds in standard deviations that the next observation exceeds with a chosen frequency.
 
     Adaptive conformal inference (Gibbs and Candes 2021): the bound on each side is the quantile of the scores so far
-    (`Surprise.scores`) at a level. Each observed vehicle raises the level by gamma (chosen - missed). In the long run
-    the bounds are missed with the chosen frequency, for any distribution and any reaction of the traffic to the ego.
-    Recent scores weigh more (weights as in Barber et al. 2023).
+    (`Innovations.scores`) at a level. Each observed vehicle raises the level by gamma (chosen - missed). In the long
+    run the bounds are missed with the chosen frequency, for any distribution and any reaction of the traffic to the
+    ego. Recent scores weigh more (weights as in Barber et al. 2023).
 
     Attributes
     ----------
     chosen : the chosen frequency.
     levels : present levels below and above, for each of x, y, vx and vy, (2, 4). A level of at most 0 gives the bound
-        `FARTHEST`.
-    counts : histogram of the scores of x, y, vx and vy, in bins from -`FARTHEST` to `FARTHEST`, (4, bins).
+        `SCORE_LIMIT`.
+    counts : histogram of the scores of x, y, vx and vy, in bins from -`SCORE_LIMIT` to `SCORE_LIMIT`, (4, bins).
     """
 
     chosen: float
@@ -111,29 +111,29 @@ class Conformal:
 
     @property
     def bounds(self) -> FloatArray:
-        """Bounds below and above, for each of x, y, vx and vy, (2, 4), from 0 to `FARTHEST` standard deviations."""
+        """Bounds below and above, for each of x, y, vx and vy, (2, 4), from 0 to `SCORE_LIMIT` standard deviations."""
         shares = self.counts.cumsum(axis=1) / self.counts.sum(axis=1, keepdims=True)
         found = np.empty((2, 4))
         for k in range(4):
             below, above = self.levels[:, k]
             # Conservative rounding: the outer edge of the bin.
-            found[0, k] = -_EDGES[np.searchsorted(shares[k], below, side="right")] if below > 0 else FARTHEST
+            found[0, k] = -_EDGES[np.searchsorted(shares[k], below, side="right")] if below > 0 else SCORE_LIMIT
             at = np.searchsorted(shares[k], 1.0 - above, side="left") + 1 if above > 0 else _BINS
             found[1, k] = _EDGES[min(at, _BINS)]
-        return np.clip(found, 0.0, FARTHEST)
+        return np.clip(found, 0.0, SCORE_LIMIT)
 
     def missed(self, scores: FloatArray) -> FloatArray:
         """Which scores are beyond the bounds, below and above, (2, k, 4)."""
         low, high = self.bounds
-        # A score is capped at `FARTHEST`, so a score there counts as beyond.
-        return np.stack([(scores < -low) | (scores <= -FARTHEST), (scores > high) | (scores >= FARTHEST)])
+        # A score is capped at `SCORE_LIMIT`, so a score there counts as beyond.
+        return np.stack([(scores < -low) | (scores <= -SCORE_LIMIT), (scores > high) | (scores >= SCORE_LIMIT)])
 
     def after(self, scores: FloatArray) -> Conformal:
-        """State with `Surprise.scores` (k, 4) added."""
+        """State with `Innovations.scores` (k, 4) added."""
         n = len(scores)
         levels = self.levels + _GAMMA * (n * self.chosen - self.missed(scores).sum(axis=1))
         counts = math.exp(-n / _RECENT) * self.counts
-        bins = np.clip(((scores + FARTHEST) * (0.5 * _BINS / FARTHEST)).astype(np.intp), 0, _BINS - 1)
+        bins = np.clip(((scores + SCORE_LIMIT) * (0.5 * _BINS / SCORE_LIMIT)).astype(np.intp), 0, _BINS - 1)
         np.add.at(counts, (np.arange(4), bins), 1.0)
         return Conformal(self.chosen, levels, counts)
 
@@ -151,7 +151,7 @@ class Learned:
     noise: Noise | None = None
     conformal: Conformal | None = None
 
-    def after(self, surprise: Surprise) -> Learned:
+    def after(self, surprise: Innovations) -> Learned:
         """Estimates with one more observation added."""
         return Learned(
             None if self.noise is None else self.noise.after(surprise.steps),

@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import kernel_no_refcount
 from dynamics.state import BoolArray, FloatArray, IntArray
 
-__all__ = ["Settled", "settled"]
+__all__ = ["Assignment", "apply_gate"]
 
 
-class Settled(NamedTuple):
+class Assignment(NamedTuple):
     """Assignment of m observed vehicles to n tracks.
 
     Attributes
@@ -33,7 +33,7 @@ class Settled(NamedTuple):
     whole: bool
 
 
-def settled(
+def apply_gate(
     rows: IntArray,
     columns: IntArray,
     apart: FloatArray,
@@ -44,7 +44,7 @@ def settled(
     before: FloatArray,
     at: FloatArray,
     seen: FloatArray,
-) -> Settled:
+) -> Assignment:
     """Apply the gate to an assignment of tracks `rows` (l,) to observed vehicles `columns` (l,).
 
     Parameters
@@ -58,10 +58,10 @@ def settled(
     innovation, unknown = np.empty(len(missed)), np.empty(len(at), np.bool_)
     found = missed, places, shown, innovation, unknown
     count, whole = _settle(rows, columns, apart, gate, patience, at, seen, pairs, *found)
-    return Settled(pairs[0, :count], pairs[1, :count], *found, whole)
+    return Assignment(pairs[0, :count], pairs[1, :count], *found, whole)
 
 
-@uncounted
+@kernel_no_refcount
 def _settle(
     rows: IntArray,
     columns: IntArray,
@@ -78,7 +78,7 @@ def _settle(
     unknown: BoolArray,
 ) -> tuple[int, bool]:
     """Fill in the pairs, (2, l), and the values of each track and observed vehicle. Returns the number of pairs, and
-    `Settled.whole`."""
+    `Assignment.whole`."""
     count, whole = 0, True
     for a in range(len(missed)):
         innovation[a] = np.nan

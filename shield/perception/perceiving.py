@@ -12,23 +12,23 @@ from dynamics.scenes.scene import EgoControl, Scene
 from dynamics.state import BoolArray, FloatArray, RoadState, State
 from shield.decision import Guarantee
 from shield.perception.bodies import STANDING, bodies, bounded, unseen_bodies
-from shield.perception.filters import FARTHEST
+from shield.perception.filters import SCORE_LIMIT
 from shield.perception.learned import RESOLUTION, Conformal, Learned, Noise
 from shield.perception.perception_settings import PerceptionConfig
-from shield.perception.sensor_monitor import Monitor
-from shield.perception.sighting import Sighting, decode
+from shield.perception.sensor_monitor import SensorMonitor
+from shield.perception.sighting import DecodedObservation, decode
 from shield.perception.spec import ObservationSpec
-from shield.perception.tracking import Motions, Tracks, ahead_of, follow, sides
-from shield.perception.unseen import Behind, Unseen, ahead, edges
-from shield.perception.vanished import Vanished
+from shield.perception.tracking import MotionModels, Tracks, bounds_of, predict_tracks, update_tracks
+from shield.perception.unseen import Unseen, UnseenBehind, edges, unseen_ahead
+from shield.perception.vanished import VanishedVehicles
 
 __all__ = ["ObservationPerception", "PerceptionConfig"]
 
 _X, _Y, _HEADING, _SPEED = int(State.X), int(State.Y), int(State.HEADING), int(State.SPEED)
 _S, _V = int(RoadState.S), int(RoadState.SPEED)
 _COLUMNS = len(State)
-_NOBODY = np.zeros((0, 3))
-_PATIENCE = 3
+_NO_VEHICLES = np.zeros((0, 3))
+_MISSED_LIMIT = 3
 """Consecutive observations that a vehicle may be missing from, where the sensor is noisy."""
 
 
@@ -73,15 +73,17 @@ class ObservationPerception:
         self._usual = np.full((2, 4), float(self.config.bound))
         self._watched = self.config.monitor or self.learned.noise is not None or self.learned.conformal is not None
         centers = road.centers + road.origin[1]
-        self._motions = Motions(self.config.calm, brisk=self.config.brisk, centers=centers, cruise=self.config.cruise)
-        usual = 0 if self.config.noise is None else _PATIENCE
+        self._motions = MotionModels(
+            self.config.calm, brisk=self.config.brisk, centers=centers, cruise=self.config.cruise
+        )
+        usual = 0 if self.config.noise is None else _MISSED_LIMIT
         self._patience = usual if self.config.patience is None else self.config.patience
         self.reset()
 
     def reset(self) -> None:
         """Clear everything about the episode; without `PerceptionConfig.carry` also what was learned in it."""
-        self.tracks, self.behind, self.monitor = Tracks(), Behind(), Monitor()
-        self.vanished, self._anybody = Vanished(), False
+        self.tracks, self.behind, self.monitor = Tracks(), UnseenBehind(), SensorMonitor()
+        self.vanished, self._anybody = VanishedVehicles(), False
         if not self.config.carry:
             self.learned = self._before
         self.edges = self.spec.distance, self.spec.distance
@@ -118,7 +120,7 @@ class ObservationPerception:
     def bounds(self) -> FloatArray:
         """Distance of the bounds below and above each of x, y, vx and vy, in standard deviations, (2, 4)."""
         if self.alarmed:
-            return np.full((2, 4), FARTHEST)
+            return np.full((2, 4), SCORE_LIMIT)
         if self.learned.conformal is not None:
             return self.learned.conformal.bounds
         return self._usual
@@ -143,7 +145,7 @@ class ObservationPerception:
             self._look(sighting, *self._move(sighting, frame))
         return self._scene(control)
 
-    def _move(self, sighting: Sighting, frame: int) -> tuple[FloatArray, float]:
+    def _move(self, sighting: DecodedObservation, frame: int) -> tuple[FloatArray, float]:
         """Record the ego's present state.
 
         Returns
@@ -164,7 +166,7 @@ class ObservationPerception:
         """Frame at which the vehicles of the last observation were seen."""
         return self._egos[0][0]
 
-    def _look(self, sighting: Sighting, then: FloatArray, passed: float) -> None:
+    def _look(self, sighting: DecodedObservation, then: FloatArray, passed: float) -> None:
         """Update tracks, edges and unseen vehicles with an observation that was made when the ego was at `then`,
         (7,)."""
         states, now, before = sighting.others.copy(), self._egos[-1][1], _cartesian(then)
@@ -178,11 +180,11 @@ class ObservationPerception:
         if passed or not len(last.ids):
             places, noise = sighting.places if self.spec.sorted else None, np.diag(np.square(self.noise))
             who = self._patience, places, self._watched
-            self.tracks = follow(last, states, noise, passed, self._motions, *who)
+            self.tracks = update_tracks(last, states, noise, passed, self._motions, *who)
             self._learn()
         self.edges = edges(self.spec, sighting)
         x, _, along, _ = before.tolist()
-        lost = new = _NOBODY
+        lost = new = _NO_VEHICLES
         if self.tracks.ids is not last.ids:
             lost = _around(last, ~np.isin(last.ids, self.tracks.ids), x, passed)
             new = _around(self.tracks, self.tracks.ids >= last.next_id, x)
@@ -204,9 +206,9 @@ class ObservationPerception:
         dt, frames = self._timing
         (frame_then, then), (frame, ego) = self._egos[0], self._egos[-1]
         late, road = (frame - frame_then) * dt, self._road
-        now = ahead_of(self.tracks, late, self._motions)
+        now = predict_tracks(self.tracks, late, self._motions)
         mean = now.mean
-        rows = bounded(mean, *sides(now, self.bounds), self.spec.body, float(ego[_X]))
+        rows = bounded(mean, *bounds_of(now, self.bounds), self.spec.body, float(ego[_X]))
         blurred = self.config.noise is not None or self.config.delay > 0
         likely = bodies(mean, self.spec.body) if blurred else None
         ids = self.tracks.ids
@@ -247,12 +249,12 @@ class ObservationPerception:
         spec, road, (far, back) = self.spec, self._road, self.edges
         unseen, pool = self.config.unseen, self.behind
         if self.alarmed:
-            unseen, pool = Unseen.worst(), Behind(stranger=-back)
+            unseen, pool = Unseen.worst(), UnseenBehind(stranger=-back)
         behind = pool.states(unseen, road, ego, spec.distance)
         if far >= spec.distance:
             return behind
         seen = road.to_road(bodies(mean, spec.body))
-        return np.concatenate([ahead(spec, far, unseen, road, ego, seen), behind])
+        return np.concatenate([unseen_ahead(spec, far, unseen, road, ego, seen), behind])
 
 
 def _around(tracks: Tracks, chosen: BoolArray, x: float, passed: float = 0.0) -> FloatArray:
@@ -283,7 +285,7 @@ def _cartesian(row: FloatArray) -> FloatArray:
 
 
 def _ego_row(
-    sighting: Sighting, before: FloatArray | None, passed: float, body: tuple[float, float], between: bool
+    sighting: DecodedObservation, before: FloatArray | None, passed: float, body: tuple[float, float], between: bool
 ) -> FloatArray:
     """Row of the ego, (7,).
 

@@ -22,7 +22,7 @@ from shield.perception.perceiving import ObservationPerception, PerceptionConfig
 from shield.perception.spec import ObservationSpec
 from shield.perception.unwrapping import check_wrappers, latest, stacked_in
 
-__all__ = ["NO_OBSERVED_SCENES", "ObservedScenes", "perception_of", "scenes_of", "sense"]
+__all__ = ["NO_OBSERVED_SCENES", "ObservedScenes", "observe_now", "perception_of", "scenes_of"]
 
 NO_OBSERVED_SCENES = (
     "scenes are made from observations for meta-actions on a straight highway; elsewhere take perception='simulator'"
@@ -106,7 +106,7 @@ class ObservedScenes:
         """
         frame = int(self._base.steps)
         if self._shown is None or self._shown[0] != frame:
-            self._shown = frame, sense(self._env)
+            self._shown = frame, observe_now(self._env)
         shown = latest(self._shown[1], self.perception.spec.shape, stacked_in(self._env))
         perception = self.perception
         if isinstance(perception, ObservationPerception):
@@ -140,14 +140,14 @@ def perception_of(
     return ObservationPerception(spec, road, timing, config, learned)
 
 
-def sense(env: Any) -> Any:
+def observe_now(env: Any) -> Any:
     """Present observation of an environment: highway-env's, seen through each `ObservationWrapper`.
 
     Wrappers that add columns (with an attribute `added_features`) are skipped, and nothing is stacked.
     """
     if env is env.unwrapped:
         return env.observation_type.observe()
-    seen = sense(env.env)
+    seen = observe_now(env.env)
     return env.observation(seen) if isinstance(env, gym.ObservationWrapper) and not _adds(env) else seen
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from dynamics.state import FloatArray
 
-__all__ = ["Monitor"]
+__all__ = ["SensorMonitor"]
 
 _CAP = 25.0
 """Greatest squared distance that one vehicle contributes. A lateral swing, or a wrong match, causes no alarm."""
@@ -20,7 +20,7 @@ with heavy tails (Student's t with 3 degrees of freedom), and with three times t
 
 
 @dataclass(frozen=True, slots=True)
-class Monitor:
+class SensorMonitor:
     """Test of the innovations of the last frames: the alarm compares the sum of their squared distances with a
     threshold.
 
@@ -34,10 +34,10 @@ class Monitor:
 
     recent: tuple[tuple[int, float, int], ...] = ()
 
-    def after(self, frame: int, distances: FloatArray, frames: int) -> Monitor:
+    def after(self, frame: int, distances: FloatArray, frames: int) -> SensorMonitor:
         """Monitor with `Surprise.distances` (k,) of one more frame; entries at least `frames` old are dropped."""
         new = frame, float(np.minimum(distances, _CAP).sum()), len(distances)
-        return Monitor((*(each for each in self.recent if each[0] > frame - frames), new))
+        return SensorMonitor((*(each for each in self.recent if each[0] > frame - frames), new))
 
     @property
     def excess(self) -> float:

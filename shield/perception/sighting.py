@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import kernel_no_refcount
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.errors import SceneError
 from shield.perception.spec import STATE, ObservationSpec
 
-__all__ = ["Sighting", "decode", "numbers_of"]
+__all__ = ["DecodedObservation", "decode", "numbers_of"]
 
 _EDGE = 1.0 - 1e-6
 """A normalised and clipped number of at least this may stand for any value beyond its range."""
@@ -25,7 +25,7 @@ _NAMED = ("presence", "cos_h", "sin_h", "heading")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
+class DecodedObservation:
     """One decoded observation.
 
     Attributes
@@ -47,7 +47,7 @@ class Sighting:
     cut: bool
 
 
-def decode(spec: ObservationSpec, observation: object) -> Sighting:
+def decode(spec: ObservationSpec, observation: object) -> DecodedObservation:
     """Decode an observation.
 
     Parameters
@@ -72,7 +72,7 @@ def decode(spec: ObservationSpec, observation: object) -> Sighting:
         raise SceneError(f"the ego's {', '.join(names)} is at the edge of its range, and so unknown")
     ego, others = states[0], states[1:known]
     cut = known < shown and known + _out_of_sight(spec, rows, named[0], int(where[0])) < shown
-    return Sighting(ego, others, _heading(named, ego_row), places[1:known], shown == n, cut)
+    return DecodedObservation(ego, others, _heading(named, ego_row), places[1:known], shown == n, cut)
 
 
 def _out_of_sight(spec: ObservationSpec, rows: FloatArray, presence: int, column: int) -> int:
@@ -86,7 +86,7 @@ def _out_of_sight(spec: ObservationSpec, rows: FloatArray, presence: int, column
     return int((there & (ahead | behind))[1:].sum())
 
 
-@uncounted
+@kernel_no_refcount
 def _read(
     rows: FloatArray,
     low: FloatArray,

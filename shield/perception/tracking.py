@@ -32,17 +32,17 @@ from scipy.optimize import linear_sum_assignment
 
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.perception import filter_kernels as filters
-from shield.perception.filters import Course
-from shield.perception.matching import settled
+from shield.perception.filters import StateTransition
+from shield.perception.matching import apply_gate
 
-__all__ = ["Motions", "Surprise", "Tracks", "ahead_of", "follow", "sides"]
+__all__ = ["Innovations", "MotionModels", "Tracks", "bounds_of", "predict_tracks", "update_tracks"]
 
 _GATE = 36.0
 """Squared Mahalanobis distance beyond which two vehicles do not match: chi^2 with 4 degrees of freedom exceeds it once
 in 4 million."""
 _LOST = 400.0
 """Squared distance within which a new vehicle may be the expected one that was not seen."""
-_SETTLING, _WAVER = 1.0, 0.15
+_SETTLING, _LATERAL_WANDER = 1.0, 0.15
 """A vehicle that keeps its lane returns to the centre with this time constant [s], and has this standard deviation from
 it [m]."""
 _RATES = np.array([[-0.1, 0.05, 0.05], [1.0, -1.1, 0.1], [0.5, 1.0, -1.5]])
@@ -54,7 +54,7 @@ _FRAME = 0.2
 """Correlation time of accelerations [s], where a prediction covers more than one frame."""
 
 
-class Motions(NamedTuple):
+class MotionModels(NamedTuple):
     """Parameters of the motion models.
 
     Attributes
@@ -74,7 +74,7 @@ class Motions(NamedTuple):
     sideways: float = 1.5
 
 
-class Surprise(NamedTuple):
+class Innovations(NamedTuple):
     """Predicted against observed states of k vehicles, at one observation.
 
     A pair slightly beyond the gate is included too. Its observed vehicle gets a new track, and counts as a deviation of
@@ -125,7 +125,7 @@ class Tracks:
     next_id: int = 1
     innovation: FloatArray = field(default_factory=lambda: np.zeros(0))
     seen: FloatArray = field(default_factory=lambda: _none(4))
-    surprise: Surprise | None = None
+    surprise: Innovations | None = None
 
     @property
     def mean(self) -> FloatArray:
@@ -138,12 +138,12 @@ class Tracks:
         return filters.mixture(self.chances, self.means, self.covariances)[1]
 
 
-def follow(
+def update_tracks(
     tracks: Tracks,
     seen: FloatArray,
     noise: FloatArray,
     dt: float,
-    motions: Motions,
+    motions: MotionModels,
     patience: int = 0,
     places: IntArray | None = None,
     watched: bool = False,
@@ -161,7 +161,7 @@ def follow(
     watched : whether to fill in `Tracks.surprise`.
     """
     at = np.full(len(seen), np.nan) if places is None else places.astype(float)
-    changes, course, pushed, centers = _foreseen(dt, motions)
+    changes, course, pushed, centers = _prediction_parameters(dt, motions)
     before = tracks.chances, tracks.means, tracks.covariances
     chances, means, covariances = filters.expected(*before, changes, course, pushed, centers)
     away, size = filters.distances(means, covariances, seen, noise)
@@ -173,9 +173,9 @@ def follow(
         near = apart <= _LOST
         pair = rows[near], columns[near]
         found = filters.scores(chances, means, covariances, seen, noise, *pair)
-        surprise = Surprise(apart[near], found, _steps(tracks, seen, dt, *pair))
+        surprise = Innovations(apart[near], found, _steps(tracks, seen, dt, *pair))
     last = tracks.missed, tracks.places, tracks.seen
-    pairs = settled(rows, columns, apart, _GATE, patience, *last, at, seen)
+    pairs = apply_gate(rows, columns, apart, _GATE, patience, *last, at, seen)
     expected, same = (chances, means, covariances), (pairs.rows, pairs.columns)
     chances, means, covariances = filters.taken_in(*expected, seen, noise, away, size, *same)
     about = pairs.missed, pairs.places, tracks.next_id, pairs.innovation, pairs.seen, surprise
@@ -187,7 +187,7 @@ def follow(
 
 
 def _steps(tracks: Tracks, seen: FloatArray, dt: float, rows: IntArray, columns: IntArray) -> FloatArray:
-    """See `Surprise.steps`."""
+    """See `Innovations.steps`."""
     before = tracks.missed[rows] == 0
     rows, columns = rows[before], columns[before]
     steps: FloatArray = seen[columns] - tracks.seen[rows]
@@ -202,10 +202,10 @@ def _joined(one: Tracks, kept: BoolArray, other: Tracks) -> Tracks:
     return Tracks(**joined, next_id=other.next_id, surprise=one.surprise)
 
 
-def _newcomers(first_id: int, seen: FloatArray, at: FloatArray, noise: FloatArray, motions: Motions) -> Tracks:
+def _newcomers(first_id: int, seen: FloatArray, at: FloatArray, noise: FloatArray, motions: MotionModels) -> Tracks:
     """Tracks of vehicles that are seen for the first time."""
     n = len(seen)
-    mean, about = _born(seen, noise, motions)
+    mean, about = _initial_estimate(seen, noise, motions)
     return Tracks(
         first_id + np.arange(n),
         np.repeat(mean[:, None], _MODES, axis=1),
@@ -219,7 +219,7 @@ def _newcomers(first_id: int, seen: FloatArray, at: FloatArray, noise: FloatArra
     )
 
 
-def _born(seen: FloatArray, noise: FloatArray, motions: Motions) -> tuple[FloatArray, FloatArray]:
+def _initial_estimate(seen: FloatArray, noise: FloatArray, motions: MotionModels) -> tuple[FloatArray, FloatArray]:
     """Means (n, 4) and covariance (4, 4) of new vehicles, from the observation and the prior of the velocity.
 
     The noise of a velocity is taken to be uncorrelated with the other components.
@@ -232,7 +232,7 @@ def _born(seen: FloatArray, noise: FloatArray, motions: Motions) -> tuple[FloatA
     return mean, about
 
 
-def sides(tracks: Tracks, bound: float | FloatArray) -> tuple[FloatArray, FloatArray]:
+def bounds_of(tracks: Tracks, bound: float | FloatArray) -> tuple[FloatArray, FloatArray]:
     """Lower and upper bounds of x, y, vx and vy, (n, 4) and (n, 4): quantiles of the mixture.
 
     Parameters
@@ -244,19 +244,21 @@ def sides(tracks: Tracks, bound: float | FloatArray) -> tuple[FloatArray, FloatA
     return filters.quantiles(tracks.chances, tracks.means, tracks.covariances, bounds)
 
 
-def ahead_of(tracks: Tracks, late: float, motions: Motions) -> Tracks:
+def predict_tracks(tracks: Tracks, late: float, motions: MotionModels) -> Tracks:
     """Prediction of the tracks, `late` [s] after the last observation. Calm vehicles stay calm, and all others are
     free, because no vehicle oscillates for so long."""
     if not late or not len(tracks.ids):
         return tracks
     share = math.sqrt(min(_FRAME / late, 1.0))
     calm, free = ((share * a, share * b) for a, b in (motions.calm, motions.free))
-    _, course, pushed, centers = _foreseen(late, motions._replace(calm=calm, free=free, brisk=free))
+    _, course, pushed, centers = _prediction_parameters(late, motions._replace(calm=calm, free=free, brisk=free))
     means, covariances = filters.moved(tracks.means, tracks.covariances, course, pushed, centers)
     return replace(tracks, means=means, covariances=covariances)
 
 
-def _foreseen(dt: float, motions: Motions) -> tuple[FloatArray, Course, FloatArray, FloatArray]:
+def _prediction_parameters(
+    dt: float, motions: MotionModels
+) -> tuple[FloatArray, StateTransition, FloatArray, FloatArray]:
     """Parameters of a prediction step: transition probabilities, (3, 3), deterministic part, process noise of each
     filter, (3, 4, 4), and lane centres."""
     centers = np.zeros(0) if motions.centers is None else motions.centers
@@ -265,13 +267,13 @@ def _foreseen(dt: float, motions: Motions) -> tuple[FloatArray, Course, FloatArr
 
 
 @lru_cache(maxsize=16)
-def _course(dt: float, usual: tuple[float, float, float]) -> Course:
-    """Deterministic part of a step. `usual` is `Motions.cruise`."""
+def _course(dt: float, usual: tuple[float, float, float]) -> StateTransition:
+    """Deterministic part of a step. `usual` is `MotionModels.cruise`."""
     cruise, _, slowly = usual
     keep, left = math.exp(-dt / slowly), math.exp(-dt / _SETTLING)
     reach = slowly * (1 - keep)
-    stray, sway = (1 - left**2) * _WAVER**2, (_WAVER / _SETTLING) ** 2 + 1e-2
-    return Course(dt, keep, reach, cruise * (dt - reach), cruise * (1 - keep), left, stray, sway)
+    stray, sway = (1 - left**2) * _LATERAL_WANDER**2, (_LATERAL_WANDER / _SETTLING) ** 2 + 1e-2
+    return StateTransition(dt, keep, reach, cruise * (dt - reach), cruise * (1 - keep), left, stray, sway)
 
 
 @lru_cache(maxsize=16)

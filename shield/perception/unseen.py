@@ -17,14 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import kernel_no_refcount
 from dynamics.roads.straight import nearest
 from dynamics.state import FloatArray, RoadState
 from shield.errors import ConfigError
-from shield.perception.sighting import Sighting
+from shield.perception.sighting import DecodedObservation
 from shield.perception.spec import ObservationSpec
 
-__all__ = ["Behind", "Unseen", "ahead", "edges"]
+__all__ = ["Unseen", "UnseenBehind", "edges", "unseen_ahead"]
 
 _S, _R, _SPEED = int(RoadState.S), int(RoadState.R), int(RoadState.SPEED)
 _GAP = 0.5
@@ -75,7 +75,7 @@ class Unseen:
         return cls(slowest=0.0, fastest=40.0, room=0.0, surge=40.0, acceleration=1e3, strays=True)
 
 
-def edges(spec: ObservationSpec, sighting: Sighting) -> tuple[float, float]:
+def edges(spec: ObservationSpec, sighting: DecodedObservation) -> tuple[float, float]:
     """Distance ahead and behind within which every vehicle is seen, from centre to centre [m]."""
     far, back = spec.sight
     if sighting.full or sighting.cut:
@@ -87,7 +87,7 @@ def edges(spec: ObservationSpec, sighting: Sighting) -> tuple[float, float]:
     return far, back
 
 
-def ahead(
+def unseen_ahead(
     spec: ObservationSpec, far: float, unseen: Unseen, road: Any, ego: FloatArray, others: FloatArray
 ) -> FloatArray:
     """Road states of vehicles that may be beyond the edge ahead, (lanes, 4); (0, 4) where the ego sees as far as
@@ -104,7 +104,7 @@ def ahead(
     return found
 
 
-@uncounted
+@kernel_no_refcount
 def _beyond(
     lanes: FloatArray, others: FloatArray, s: float, far: float, length: float, slowest: float, found: FloatArray
 ) -> None:
@@ -121,7 +121,7 @@ def _beyond(
 
 
 @dataclass(slots=True)
-class Behind:
+class UnseenBehind:
     """Vehicles that may be beyond the edge behind, from one observation to the next.
 
     Attributes

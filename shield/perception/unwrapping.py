@@ -10,15 +10,15 @@ import numpy as np
 
 from shield.errors import ConfigError, SceneError
 
-__all__ = ["SAME", "as_shown", "check_wrappers", "latest", "stacked_in", "wrappers_of"]
+__all__ = ["TRANSPARENT_WRAPPERS", "check_wrappers", "latest", "stacked_in", "undo_vec_wrappers", "wrappers_of"]
 
-SAME = ("FlattenObservation", "FrameStackObservation", "ReshapeObservation", "DtypeObservation")
+TRANSPARENT_WRAPPERS = ("FlattenObservation", "FrameStackObservation", "ReshapeObservation", "DtypeObservation")
 """Gymnasium wrappers that keep the numbers of the latest observation, in the same order."""
 _SENSOR = "sensor_noise"
 """Attribute of a sensor wrapper that states its noise. Its output counts as the observation."""
 
 
-def as_shown(env: Any, observation: Any) -> Any:
+def undo_vec_wrappers(env: Any, observation: Any) -> Any:
     """Undo the wrappers of a VecEnv, the outermost first, for an observation or a batch.
 
     `VecNormalize` is inverted; a value that it clipped is unknown and becomes NaN. Of `VecFrameStack` the latest frame
@@ -80,12 +80,12 @@ def check_wrappers(env: Any, names: tuple[str, ...] | None = None) -> None:
     undone = VecNormalize, VecFrameStack, VecTransposeImage
     for wrapper in _vec_wrappers(env):
         if not isinstance(wrapper, undone) and wrapper.observation_space != wrapper.venv.observation_space:
-            as_shown(wrapper, None)
+            undo_vec_wrappers(wrapper, None)
     for name in wrappers_of(env) if names is None else names:
-        if name not in SAME:
+        if name not in TRANSPARENT_WRAPPERS:
             raise ConfigError(
-                f"{name} changes observations, and cannot be undone: have {', '.join(SAME)}, and sensors that "
-                f"state their noise ({_SENSOR})"
+                f"{name} changes observations, and cannot be undone: have {', '.join(TRANSPARENT_WRAPPERS)}, and "
+                f"sensors that state their noise ({_SENSOR})"
             )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from dynamics.state import FloatArray
 
-__all__ = ["Vanished"]
+__all__ = ["VanishedVehicles"]
 
 _CHANGE = 6.0
 """Assumed greatest acceleration and braking of a vehicle since then [m/s^2]."""
@@ -20,7 +20,7 @@ the road [m]."""
 
 
 @dataclass(slots=True)
-class Vanished:
+class VanishedVehicles:
     """Vehicles that vanished within sight, and their possible positions.
 
     Attributes

@@ -1,6 +1,6 @@
 """One decision: `decide(memory, scene, proposal, procedure) -> (decision, memory)`.
 
-A decision pipeline (`Procedure`) lists the plans to verify in order, and a fallback. The rest is the same for
+A decision pipeline (`Pipeline`) lists the plans to verify in order, and a fallback. The rest is the same for
 meta-actions, frames, throttle and steering, and parking lots. The first plan that verifies is executed, and after any
 error the pipeline's last resort. All state is in the memory, so a decision can be repeated from its arguments.
 """
@@ -19,12 +19,23 @@ from dynamics.errors import SceneError
 from dynamics.scenes.scene import Scene
 from dynamics.state import FloatArray, readable
 from shield.certificate.road.memory import Memory
-from shield.certificate.road.monitor import Watch
+from shield.certificate.road.monitor import RoadMonitor
 from shield.certificate.road.verify import NOTHING, Binding
 from shield.decision import Decision, Reason, Tier
 from shield.explanation import Explanation
 
-__all__ = ["Core", "Explainer", "Made", "Plan", "Procedure", "Reader", "Tried", "Unreadable", "decide", "read"]
+__all__ = [
+    "DecisionCore",
+    "DecisionData",
+    "Explainer",
+    "JudgedPlan",
+    "Pipeline",
+    "Plan",
+    "Reader",
+    "Unreadable",
+    "decide",
+    "read",
+]
 
 _log = logging.getLogger(__name__)
 
@@ -70,7 +81,7 @@ class Plan(Generic[S]):
 
 
 @dataclass(frozen=True, slots=True)
-class Tried(Generic[S]):
+class JudgedPlan(Generic[S]):
     """A judged plan, with its tier and the reason that is recorded if it is executed."""
 
     tier: Tier
@@ -93,7 +104,7 @@ class Unreadable:
     cause: str = ""
 
 
-class Procedure(Protocol[S, View]):
+class Pipeline(Protocol[S, View]):
     """Decision pipeline for one kind of action: plans in order, and the fallback."""
 
     def refuses(self, scene: Any, proposal: Any) -> Reason | None:
@@ -102,10 +113,10 @@ class Procedure(Protocol[S, View]):
     def observe(self, memory: Memory[S], scene: Any) -> tuple[View, Memory[S]]:
         """Observe a scene: the view for `plans`, and the new memory."""
 
-    def plans(self, view: View, proposal: Any) -> Iterator[Tried[S]]:
+    def plans(self, view: View, proposal: Any) -> Iterator[JudgedPlan[S]]:
         """Plans to verify, in order: the proposal, and then its replacements."""
 
-    def fall_back(self, view: View, proposal: Any, tried: list[Tried[S]]) -> Tried[S]:
+    def fall_back(self, view: View, proposal: Any, tried: list[JudgedPlan[S]]) -> JudgedPlan[S]:
         """Plan to execute if none of `plans` verifies."""
 
     def last_resort(self, memory: Memory[S], scene: Any, proposal: Any) -> tuple[Tier, Plan[S]]:
@@ -113,7 +124,7 @@ class Procedure(Protocol[S, View]):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Made(Generic[S]):
+class DecisionData(Generic[S]):
     """Data of one decision for its explanation: references to the arguments, from which it can be repeated.
 
     A pickled copy is None.
@@ -122,7 +133,7 @@ class Made(Generic[S]):
     memory: Memory[S]
     scene: Any
     proposal: Any
-    procedure: Procedure[S, Any]
+    procedure: Pipeline[S, Any]
     how: Explainer
 
     def explain(self, at: Decision, record: Decision, frame: int) -> Explanation:
@@ -133,12 +144,12 @@ class Made(Generic[S]):
         return type(None), ()
 
 
-Explainer = Callable[[Made[Any], Decision, Decision, int], Explanation]
+Explainer = Callable[[DecisionData[Any], Decision, Decision, int], Explanation]
 """Explains a decision from its data, see `shield.decision.Source`."""
 
 
 def decide(
-    memory: Memory[S], scene: Any, proposal: Any, procedure: Procedure[S, Any], explain: Explainer | None = None
+    memory: Memory[S], scene: Any, proposal: Any, procedure: Pipeline[S, Any], explain: Explainer | None = None
 ) -> tuple[Decision, Memory[S]]:
     """One decision, and the memory for the next one; the arguments are not changed.
 
@@ -149,12 +160,12 @@ def decide(
     explain : function that can explain the decision; None if no explanation is needed.
     """
     start, seen = perf_counter(), memory
-    source = None if explain is None else Made(memory, scene, proposal, procedure, explain)
+    source = None if explain is None else DecisionData(memory, scene, proposal, procedure, explain)
     try:
         refused = scene.reason if isinstance(scene, Unreadable) else procedure.refuses(scene, proposal)
         if refused is None:
             view, seen = procedure.observe(memory, scene)
-            tried: list[Tried[S]] = []
+            tried: list[JudgedPlan[S]] = []
             for one in procedure.plans(view, proposal):
                 tried.append(one)
                 if one.plan.verified:
@@ -169,26 +180,26 @@ def decide(
         _log.exception("a stage of the shield raised; the last resort acts")
         refused = Reason.STAGE_FAILED
     tier, plan = procedure.last_resort(seen, scene, proposal)
-    return _decided(start, seen, proposal, Tried(tier, refused, plan), source)
+    return _decided(start, seen, proposal, JudgedPlan(tier, refused, plan), source)
 
 
-def _observe_readable(memory: Memory[S], scene: Any, procedure: Procedure[S, Any]) -> Memory[S]:
+def _observe_readable(memory: Memory[S], scene: Any, procedure: Pipeline[S, Any]) -> Memory[S]:
     """Observe a scene without the vehicles in an unreadable state. Such a state counts as a violation; the other
     vehicles are judged as usual."""
     if not isinstance(scene, Scene) or scene.observed or not readable(scene.ego).all():
         return memory
     strange, before = scene.unreadable, memory.watch
-    if not strange.any() or not isinstance(before, Watch):
+    if not strange.any() or not isinstance(before, RoadMonitor):
         return memory
     ids = np.flatnonzero(strange) if scene.ids is None else scene.ids[strange]
     _, seen = procedure.observe(memory, scene.without(strange))
-    if not isinstance(seen.watch, Watch) or (seen.frame is not None and seen.frame == memory.frame):
+    if not isinstance(seen.watch, RoadMonitor) or (seen.frame is not None and seen.frame == memory.frame):
         return memory
     return replace(seen, watch=seen.watch.with_unreadable(ids, readable(scene.others[strange]), before.unreadable))
 
 
 def _decided(
-    start: float, memory: Memory[S], proposal: Any, one: Tried[S], source: Made[S] | None
+    start: float, memory: Memory[S], proposal: Any, one: JudgedPlan[S], source: DecisionData[S] | None
 ) -> tuple[Decision, Memory[S]]:
     """The decision for a plan, and the new memory."""
     tier, plan = one.tier, one.plan
@@ -208,7 +219,7 @@ class Reader(Protocol):
         """The present scene; raises `SceneError` if there is none."""
 
 
-class Core(Generic[S]):
+class DecisionCore(Generic[S]):
     """Decision pipelines of one vehicle, and their memory.
 
     Attributes
@@ -217,7 +228,7 @@ class Core(Generic[S]):
     explain : explains its decisions; None to keep no data for explanations.
     """
 
-    def __init__(self, procedure: Procedure[S, Any], explain: Explainer | None = None) -> None:
+    def __init__(self, procedure: Pipeline[S, Any], explain: Explainer | None = None) -> None:
         self.procedure, self.explain = procedure, explain
         self.reset()
 
@@ -236,16 +247,16 @@ class Core(Generic[S]):
         """The same by rule."""
         return self.memory.watch.named
 
-    def decide(self, scene: Any, proposal: Any, procedure: Procedure[S, Any] | None = None) -> Decision:
+    def decide(self, scene: Any, proposal: Any, procedure: Pipeline[S, Any] | None = None) -> Decision:
         """The next decision; see the function `decide`."""
         looked, self._looked = self._looked, None
-        if looked is not None and not _alike(looked[0], scene):
+        if looked is not None and not _same_arrays(looked[0], scene):
             # The user has changed the scene since `look`: observe it again.
             self.memory = looked[1]
         decision, self.memory = decide(self.memory, scene, proposal, procedure or self.procedure, self.explain)
         return decision
 
-    def look(self, scene: Any, procedure: Procedure[S, Any] | None = None) -> None:
+    def look(self, scene: Any, procedure: Pipeline[S, Any] | None = None) -> None:
         """Observe a scene before a decision about it, such as the last scene of an episode, to count the violations on
         the way there. A later decision about the same scene does not judge them again."""
         if isinstance(scene, Unreadable):
@@ -261,7 +272,7 @@ class Core(Generic[S]):
             _log.exception("the last scene of an episode could not be judged")
 
 
-def _alike(a: Any, b: Any) -> bool:
+def _same_arrays(a: Any, b: Any) -> bool:
     """Whether two scenes have the same arrays."""
     names = [name for name in ("ego", "others", "obstacles") if hasattr(a, name)]
     return type(a) is type(b) and all(np.array_equal(getattr(a, name), getattr(b, name)) for name in names)

@@ -17,7 +17,7 @@ from dynamics.scenes.scene import Scene
 from dynamics.state import FloatArray, RoadState, State
 from dynamics.vehicle.actuators import Actuators
 from dynamics.vehicle.curved_bicycle import steer
-from dynamics.vehicle.held_rollouts import HeldRollouts
+from dynamics.vehicle.held_rollouts import BrakingRollouts
 from dynamics.vehicle.rollouts import Rollouts
 from shield.config import ShieldConfig
 
@@ -108,7 +108,7 @@ class EveryDecision:
         stops[:, 0] = scene.road.centers[fails]
         stops[:, 1], stops[:, 2] = braking if self._can_stop else 0.0, self._wheel
         began = np.repeat(began, len(fails) // len(began), axis=0)
-        held = HeldRollouts(scene.dt, self.frames, scene.road)
+        held = BrakingRollouts(scene.dt, self.frames, scene.road)
         return np.concatenate([began, held.run(began[:, -1], stops, periods)], axis=1)
 
     def law(self, scene: Scene, lane: int) -> FloatArray:

@@ -17,24 +17,24 @@ from dynamics.scenes.scene import Scene, Target
 from dynamics.state import BoolArray, FloatArray, IntArray, State
 from dynamics.vehicle.controllers import KP_SPEED
 from shield.certificate.road.manoeuvres import Brakes, brake_candidates
-from shield.certificate.road.memory import Instant, Memory, observe
+from shield.certificate.road.memory import Memory, ObservedScene, observe
 from shield.certificate.road.verify import ROUNDING, Clearance, least_bad, least_bad_evasion
 from shield.config import ShieldConfig
 from shield.decision import Reason, Tier
-from shield.pipelines.decide import Plan, Tried, Unreadable
+from shield.pipelines.decide import JudgedPlan, Plan, Unreadable
 
 __all__ = [
     "ACCELERATIONS",
     "CAPS",
     "GREATEST",
     "LANE_PENALTY",
+    "AccelerationCap",
     "FrameCommand",
-    "Frames",
-    "HoldBack",
+    "FramePipeline",
     "Repair",
+    "capped_speeds",
     "fail_lanes",
     "first_verified",
-    "held_back_speeds",
 ]
 
 
@@ -63,11 +63,11 @@ class FrameCommand:
 class Repair(Protocol):
     """Replacement of a target command that does not verify at this frame."""
 
-    def plans(self, now: Instant, target: Target) -> Iterator[Plan[int]]:
+    def plans(self, now: ObservedScene, target: Target) -> Iterator[Plan[int]]:
         """Plans in order."""
 
 
-class HoldBack:
+class AccelerationCap:
     """Acceleration cap for one frame: the greatest acceleration that verifies, the target lane first.
 
     Parameters
@@ -79,7 +79,7 @@ class HoldBack:
     def __init__(self, begins: bool = False) -> None:
         self._begins = begins
 
-    def plans(self, now: Instant, target: Target) -> Iterator[Plan[int]]:
+    def plans(self, now: ObservedScene, target: Target) -> Iterator[Plan[int]]:
         """One plan; the least bad if none verifies."""
         scene, lanes = now.scene, fail_lanes(now, target.lane)
         v, grid = float(scene.ego[State.SPEED]), _accelerations(now, target)
@@ -102,39 +102,39 @@ class HoldBack:
         yield _plan(candidates, accelerations, paths, result, i)
 
 
-class Frames:
+class FramePipeline:
     """Supervises the frames between two decisions about meta-actions.
 
     Parameters
     ----------
     config : settings.
-    repair : replacement of a target command that does not verify; `HoldBack` by default.
+    repair : replacement of a target command that does not verify; `AccelerationCap` by default.
     """
 
     def __init__(self, config: ShieldConfig, repair: Repair | None = None) -> None:
-        self.config, self._repair = config, repair if repair is not None else HoldBack()
+        self.config, self._repair = config, repair if repair is not None else AccelerationCap()
 
     def refuses(self, scene: Scene, proposal: Target) -> Reason | None:
         """Reason if the scene is not finite; else None."""
         return None if scene.finite else Reason.BAD_SCENE
 
-    def observe(self, memory: Memory[int], scene: Scene) -> tuple[Instant, Memory[int]]:
+    def observe(self, memory: Memory[int], scene: Scene) -> tuple[ObservedScene, Memory[int]]:
         """Observe a scene: monitor, and reachable places of the others."""
         now = observe(memory, scene, self.config)
         return now, now.memory
 
-    def plans(self, now: Instant, proposal: Target) -> Iterator[Tried[int]]:
+    def plans(self, now: ObservedScene, proposal: Target) -> Iterator[JudgedPlan[int]]:
         """The target command for one more frame, and then its replacements."""
         fails = fail_lanes(now, proposal.lane)
         lanes, speeds = [proposal.lane] * len(fails), [proposal.speed] * len(fails)
         paths, result = now.judge(brake_candidates(now.scene, lanes, speeds, fails, 1, self.config.braking))
         i = first_verified(result.margin)
         plan = Plan(proposal, float(result.margin[i]), fails[i], paths[i], result.binding(i))
-        yield Tried(Tier.PASSED, Reason.NONE, plan)
+        yield JudgedPlan(Tier.PASSED, Reason.NONE, plan)
         for each in self._repair.plans(now, proposal):
-            yield Tried(Tier.GOVERNED, Reason.UNVERIFIED, each)
+            yield JudgedPlan(Tier.GOVERNED, Reason.UNVERIFIED, each)
 
-    def fall_back(self, now: Instant, proposal: Target, tried: list[Tried[int]]) -> Tried[int]:
+    def fall_back(self, now: ObservedScene, proposal: Target, tried: list[JudgedPlan[int]]) -> JudgedPlan[int]:
         """The stored plan, as long as it is clear of the compliant vehicles. After a violation, the plan that stays
         clear of the violators longest among those that are clear of the compliant vehicles."""
         violated, reason = now.memory.watch.violated, Reason.NO_SAFE_PLAN
@@ -143,17 +143,17 @@ class Frames:
             if violated:
                 plan, lawful = _evade(now, proposal)
                 if lawful >= 0:
-                    return Tried(Tier.EVADED, reason, plan)
+                    return JudgedPlan(Tier.EVADED, reason, plan)
             elif kept.margin >= -ROUNDING:
                 reason = Reason.PRECAUTION
             command = FrameCommand(kept.lane, -self.config.braking)
             entered = now.memory.entered
             stored = Plan(command, kept.margin, kept.lane, kept.path, kept.binding, entered=entered)
-            return Tried(Tier.STORED_PLAN, reason, stored)
+            return JudgedPlan(Tier.STORED_PLAN, reason, stored)
         if now.scene.likely is not None:
             # With noise no candidate is clear of the bounds, but one may still be clear of the vehicles.
-            return Tried(Tier.LARGEST_MARGIN, reason, _likeliest(now, proposal))
-        return Tried(Tier.LARGEST_MARGIN, reason, _evade(now, proposal)[0])
+            return JudgedPlan(Tier.LARGEST_MARGIN, reason, _least_bad_of_shrunk_bounds(now, proposal))
+        return JudgedPlan(Tier.LARGEST_MARGIN, reason, _evade(now, proposal)[0])
 
     def last_resort(self, memory: Memory[int], scene: Scene | Unreadable, proposal: Target) -> tuple[Tier, Plan[int]]:
         """Brake in the stored lane, or in the target lane without one."""
@@ -162,7 +162,7 @@ class Frames:
         return Tier.EMERGENCY, Plan(command, stored=memory.stored, entered=memory.entered)
 
 
-def _evade(now: Instant, target: Target) -> tuple[Plan[int], float]:
+def _evade(now: ObservedScene, target: Target) -> tuple[Plan[int], float]:
     """The candidate that stays clear longest among those that are clear of the compliant vehicles, and its margin from
     these [m]. The margin is negative if there is no such candidate.
 
@@ -182,7 +182,7 @@ def _evade(now: Instant, target: Target) -> tuple[Plan[int], float]:
     return _plan(candidates, accelerations, paths, result, i), float(lawful[i])
 
 
-def _likeliest(now: Instant, target: Target) -> Plan[int]:
+def _least_bad_of_shrunk_bounds(now: ObservedScene, target: Target) -> Plan[int]:
     """The candidate that stays clear longest, among those that are clear of the widest bounds of which any candidate is
     clear. Candidates in the ego's own lane take precedence over the others."""
     candidates, accelerations = _evasions(now, target)
@@ -219,7 +219,7 @@ def _plan(candidates: Brakes, accelerations: FloatArray, paths: FloatArray, resu
     return Plan(command, float(result.margin[i]), int(candidates.fails[i]), paths[i], result.binding(i))
 
 
-def _evasions(now: Instant, target: Target) -> tuple[Brakes, FloatArray]:
+def _evasions(now: ObservedScene, target: Target) -> tuple[Brakes, FloatArray]:
     """Candidates with each acceleration, in the ego's lane and its neighbours; each stops in the lane that it steers
     to."""
     scene, here, grid = now.scene, now.here, _accelerations(now, target)
@@ -231,21 +231,21 @@ def _evasions(now: Instant, target: Target) -> tuple[Brakes, FloatArray]:
     return brake_candidates(scene, steer, speeds, steer, 1, now.config.braking), accelerations
 
 
-def _accelerations(now: Instant, target: Target) -> FloatArray:
+def _accelerations(now: ObservedScene, target: Target) -> FloatArray:
     """Grid from full braking to the acceleration of the target command, (n,) [m/s^2]."""
     wish, braking = KP_SPEED * (target.speed - float(now.scene.ego[State.SPEED])), now.config.braking
     return np.linspace(-braking, max(min(wish, GREATEST), -braking), ACCELERATIONS)
 
 
-def held_back_speeds(now: Instant, target: Target) -> set[float]:
-    """Speeds to which `HoldBack` may cap a target command, one for each of `CAPS` [m/s]. A plan that verifies with one
-    of them verifies at the first frame too."""
+def capped_speeds(now: ObservedScene, target: Target) -> set[float]:
+    """Speeds to which `AccelerationCap` may cap a target command, one for each of `CAPS` [m/s]. A plan that verifies
+    with one of them verifies at the first frame too."""
     grid = _accelerations(now, target)
     places = np.searchsorted(grid, KP_SPEED * np.array(CAPS), side="right") - 1
     return {float(now.scene.ego[State.SPEED]) + a / KP_SPEED for a in grid[np.maximum(places, 0)].tolist()}
 
 
-def fail_lanes(now: Instant, lane: int) -> list[int]:
+def fail_lanes(now: ObservedScene, lane: int) -> list[int]:
     """Lanes in which the fail-safe may stop: the target lane, the ego's own, and the stored one."""
     here, stored = now.here, now.memory.stored
     if stored is None or abs(stored - here) > 1:

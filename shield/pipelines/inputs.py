@@ -20,24 +20,24 @@ from dynamics.state import FloatArray, RoadState, State
 from dynamics.vehicle.actuators import Actuators
 from dynamics.vehicle.bicycle import LENGTH
 from mpc.filter.program.road_step import StageModel
-from shield.alternatives.nearest_input import Judged, Search
+from shield.alternatives.nearest_input import JudgedInputs, NearestInputSearch
 from shield.alternatives.predicted_input import Predictor
 from shield.certificate.road.clauses.edge import verdicts
-from shield.certificate.road.memory import Instant, Memory, observe
-from shield.certificate.road.verify import ROUNDING, Binding, Surveyor, least_bad_evasion
+from shield.certificate.road.memory import Memory, ObservedScene, observe
+from shield.certificate.road.verify import ROUNDING, Binding, PathVerifier, least_bad_evasion
 from shield.config import ShieldConfig
 from shield.decision import Reason, Tier
 from shield.errors import ConfigError
-from shield.pipelines.decide import Plan, Tried, Unreadable
+from shield.pipelines.decide import JudgedPlan, Plan, Unreadable
 from shield.pipelines.execution import EveryDecision, EveryFrame, Execution
 
-__all__ = ["Inputs"]
+__all__ = ["InputPipeline"]
 
 _EVASIONS = 9
 """Number of accelerations tried for each lane after a violation."""
 
 
-class Inputs:
+class InputPipeline:
     """Decides about throttle and steering on a road.
 
     Parameters
@@ -92,22 +92,22 @@ class Inputs:
             return Reason.BAD_ACTION
         return None if scene.finite else Reason.BAD_SCENE
 
-    def observe(self, memory: Memory[int], scene: Scene) -> tuple[Instant, Memory[int]]:
+    def observe(self, memory: Memory[int], scene: Scene) -> tuple[ObservedScene, Memory[int]]:
         """Observe a scene: monitor, and reachable places of the others."""
         now = observe(memory, scene, self.config, self.execution.frames)
         return now, now.memory
 
-    def plans(self, now: Instant, proposal: FloatArray) -> Iterator[Tried[int]]:
+    def plans(self, now: ObservedScene, proposal: FloatArray) -> Iterator[JudgedPlan[int]]:
         """The proposal, and then its replacements."""
         first, *others = self.stop_lanes(now)
         judged = self.judge(now, proposal[None], [first])
         if not judged.margin[0] >= 0 and others:
             judged = self.judge(now, proposal[None], [first, *others])
-        yield Tried(Tier.PASSED, Reason.NONE, replace(self.plan(now, judged), action=proposal))
+        yield JudgedPlan(Tier.PASSED, Reason.NONE, replace(self.plan(now, judged), action=proposal))
         for plan in self.repairs(now, proposal, judged):
-            yield Tried(Tier.GOVERNED, Reason.UNVERIFIED, plan)
+            yield JudgedPlan(Tier.GOVERNED, Reason.UNVERIFIED, plan)
 
-    def repairs(self, now: Instant, proposal: FloatArray, first: Judged) -> Iterator[Plan[int]]:
+    def repairs(self, now: ObservedScene, proposal: FloatArray, first: JudgedInputs) -> Iterator[Plan[int]]:
         """The nearest input, or the least bad one; and then that of the predictive filter.
 
         Parameters
@@ -120,11 +120,11 @@ class Inputs:
         least = np.minimum((-self.config.braking, self.actuators.steering[0]), proposal)
         most = np.maximum((self.actuators.acceleration[1], self.actuators.steering[1]), proposal)
 
-        def judge(inputs: FloatArray, lanes: list[int], parts: bool) -> Judged:
+        def judge(inputs: FloatArray, lanes: list[int], parts: bool) -> JudgedInputs:
             return self.judge(now, inputs, lanes, parts)
 
         bounds = np.maximum(least, floor), np.maximum(most, floor)
-        search = Search(judge, proposal, self._spans(now.scene), *bounds)
+        search = NearestInputSearch(judge, proposal, self._spans(now.scene), *bounds)
         law = self.execution.law(now.scene, lane)
         yield self.plan(now, search.run(lanes, law, self.stop_lanes(now)))
         if self.predictor is not None:
@@ -133,7 +133,7 @@ class Inputs:
                 found = self.judge(now, np.maximum(planned[0], floor)[None], lanes)
                 yield replace(self.plan(now, found), predicted=planned)
 
-    def fall_back(self, now: Instant, proposal: FloatArray, tried: list[Tried[int]]) -> Tried[int]:
+    def fall_back(self, now: ObservedScene, proposal: FloatArray, tried: list[JudgedPlan[int]]) -> JudgedPlan[int]:
         """The stored plan, as long as it is clear of the compliant vehicles. After a violation, the plan that stays
         clear of the violators longest among those that are clear of the compliant vehicles."""
         violated, reason, lane = now.memory.watch.violated, Reason.NO_SAFE_PLAN, now.memory.stored
@@ -144,13 +144,13 @@ class Inputs:
             if keeps and violated:
                 evading = self._evade(now)
                 if evading is not None:
-                    return Tried(Tier.EVADED, reason, self.plan(now, evading))
+                    return JudgedPlan(Tier.EVADED, reason, self.plan(now, evading))
             if keeps and not violated:
                 reason = Reason.PRECAUTION
             if keeps or not violated:
-                return Tried(Tier.STORED_PLAN, reason, replace(self.plan(now, stored), action=law[0]))
+                return JudgedPlan(Tier.STORED_PLAN, reason, replace(self.plan(now, stored), action=law[0]))
         # The first of the repairs: the least bad input of the search.
-        return Tried(Tier.LARGEST_MARGIN, reason, tried[1].plan)
+        return JudgedPlan(Tier.LARGEST_MARGIN, reason, tried[1].plan)
 
     def last_resort(
         self, memory: Memory[int], scene: Scene | Unreadable, proposal: FloatArray | None
@@ -169,12 +169,12 @@ class Inputs:
 
     def judge(
         self,
-        now: Instant,
+        now: ObservedScene,
         inputs: FloatArray,
         stops: list[int],
         parts: bool = False,
-        survey: Surveyor | None = None,
-    ) -> Judged:
+        survey: PathVerifier | None = None,
+    ) -> JudgedInputs:
         """Margins of inputs (n, 2), each followed by the fail-safe in the first lane of `stops` that verifies.
 
         Parameters
@@ -201,15 +201,17 @@ class Inputs:
             return Binding("edge" if np.isfinite(margin[row]) or not allowed[row] else "rollback")
 
         if f == 1:
-            return Judged(inputs, margin, clear, fails, paths, of, bind)
+            return JudgedInputs(inputs, margin, clear, fails, paths, of, bind)
         # The first lane that verifies, in order; otherwise the best one.
         each = margin.reshape(n, f)
         good = each >= 0
         pick = np.where(good.any(axis=1), good.argmax(axis=1), np.nan_to_num(each, nan=-np.inf).argmax(axis=1))
         rows = np.arange(n) * f + pick
-        return Judged(inputs, margin[rows], clear[rows], fails[rows], paths[rows], bind=lambda i: bind(int(rows[i])))
+        return JudgedInputs(
+            inputs, margin[rows], clear[rows], fails[rows], paths[rows], bind=lambda i: bind(int(rows[i]))
+        )
 
-    def plan(self, now: Instant, judged: Judged) -> Plan[int]:
+    def plan(self, now: ObservedScene, judged: JudgedInputs) -> Plan[int]:
         """The plan of the first judged input."""
         path, occupancy = np.vstack([now.scene.ego_road, judged.paths[0]]), None
         if self.config.record:
@@ -220,12 +222,12 @@ class Inputs:
         plan = Plan(judged.inputs[0], margin, stop, path, judged.bind(0), clear, occupancy)
         return plan if entered == stop else replace(plan, entered=entered)
 
-    def stop_lanes(self, now: Instant) -> list[int]:
+    def stop_lanes(self, now: ObservedScene) -> list[int]:
         """Lanes in which the fail-safe may stop, in order of preference."""
         near = (self._stop_lane(now), now.here, now.here - 1, now.here + 1)
         return list(dict.fromkeys(i for i in near if 0 <= i < now.scene.road.centers.size))
 
-    def _evade(self, now: Instant) -> Judged | None:
+    def _evade(self, now: ObservedScene) -> JudgedInputs | None:
         """The input that is expected to stay clear longest, among those that are clear of the compliant vehicles; None
         without any. See `shield.pipelines.frames`."""
         lanes, braking = self.stop_lanes(now), self.config.braking
@@ -243,7 +245,7 @@ class Inputs:
         i = keeps[least_bad_evasion(expected, now.survey.clearance(paths, entered, fails))]
         return self.judge(now, inputs[i : i + 1], [int(lawful.lanes[i])])
 
-    def _stop_lane(self, now: Instant) -> int:
+    def _stop_lane(self, now: ObservedScene) -> int:
         """The stop lane of the previous fail-safe, however far; the ego's own lane without one."""
         return now.here if now.memory.stored is None else int(now.memory.stored)
 

@@ -21,18 +21,18 @@ from dynamics.scenes.scene import Scene, Target
 from dynamics.state import FloatArray
 from shield.alternatives.preference import default_order, resolve
 from shield.certificate.road.manoeuvres import brake_candidates
-from shield.certificate.road.memory import Instant, Memory, observe
+from shield.certificate.road.memory import Memory, ObservedScene, observe
 from shield.certificate.road.verify import ROUNDING
 from shield.config import ShieldConfig
 from shield.decision import Reason, Tier
-from shield.pipelines.decide import Plan, Tried, Unreadable
-from shield.pipelines.frames import HoldBack, fail_lanes, first_verified, held_back_speeds
-from shield.pipelines.screen import Screen, Wish, slower
+from shield.pipelines.decide import JudgedPlan, Plan, Unreadable
+from shield.pipelines.frames import AccelerationCap, capped_speeds, fail_lanes, first_verified
+from shield.pipelines.screen import MetaActionProposal, RuleScreen, slower
 
-__all__ = ["MetaActions"]
+__all__ = ["MetaActionPipeline"]
 
 
-class MetaActions:
+class MetaActionPipeline:
     """Decides about meta-actions.
 
     Parameters
@@ -46,18 +46,18 @@ class MetaActions:
 
     def __init__(self, config: ShieldConfig) -> None:
         self.config = config
-        self.screen, self._hold_back = Screen(config), HoldBack(begins=True)
+        self.screen, self._hold_back = RuleScreen(config), AccelerationCap(begins=True)
 
-    def refuses(self, scene: Scene, proposal: Wish) -> Reason | None:
+    def refuses(self, scene: Scene, proposal: MetaActionProposal) -> Reason | None:
         """Reason if the proposal is invalid or the scene is not finite; else None."""
         return self.screen.refuses(scene, proposal)
 
-    def observe(self, memory: Memory[int], scene: Scene) -> tuple[Instant, Memory[int]]:
+    def observe(self, memory: Memory[int], scene: Scene) -> tuple[ObservedScene, Memory[int]]:
         """Observe a scene: monitor, and reachable places of the others."""
         now = observe(memory, scene, self.config)
         return now, now.memory
 
-    def plans(self, now: Instant, proposal: Wish) -> Iterator[Tried[int]]:
+    def plans(self, now: ObservedScene, proposal: MetaActionProposal) -> Iterator[JudgedPlan[int]]:
         """The proposal; the proposal with another speed; alternatives; the proposal with an acceleration cap; then all
         other actions."""
         scene, action = now.scene, proposal.action
@@ -68,7 +68,7 @@ class MetaActions:
         else:
             # The frames can cap the acceleration of a longitudinal proposal; a lane change is expected to be completed.
             (plan,) = self._verify(now, [action], [target], forecast=changes)
-            yield Tried(Tier.PASSED, Reason.NONE, plan)
+            yield JudgedPlan(Tier.PASSED, Reason.NONE, plan)
             reason = self.screen.why(scene, target)
         labels = scene.control.actions
         targets = [scene.target_of(a) for a in range(len(labels))]
@@ -76,26 +76,30 @@ class MetaActions:
         if changes:
             # A lane change that may verify with another speed.
             for plan in self._verify_actions(now, [action], targets):
-                yield Tried(Tier.GOVERNED, reason, plan)
+                yield JudgedPlan(Tier.GOVERNED, reason, plan)
         for plan in self._verify_actions(now, alternatives, targets):
-            yield Tried(Tier.ALTERNATIVE, reason, plan)
+            yield JudgedPlan(Tier.ALTERNATIVE, reason, plan)
         # Without a policy order, an acceleration cap is preferred to another action.
         kept = ([] if changes else [action]) + [labels.index(x) for x in ("IDLE", "SLOWER") if x in labels]
         for a in kept:
             for held in self._hold_back.plans(now, targets[a]):
-                yield Tried(Tier.GOVERNED, reason, replace(held, action=a, path=_from_here(now, held.path)))
+                yield JudgedPlan(Tier.GOVERNED, reason, replace(held, action=a, path=_from_here(now, held.path)))
         # The remaining actions, without the forecast for the whole decision: the certificate needs one frame only.
         rest = [a for a in range(len(labels)) if a != action]
         for plan in self._verify_actions(now, rest, targets, forecast=False):
-            yield Tried(Tier.ALTERNATIVE, reason, plan)
+            yield JudgedPlan(Tier.ALTERNATIVE, reason, plan)
 
-    def fall_back(self, now: Instant, proposal: Wish, tried: list[Tried[int]]) -> Tried[int]:
+    def fall_back(
+        self, now: ObservedScene, proposal: MetaActionProposal, tried: list[JudgedPlan[int]]
+    ) -> JudgedPlan[int]:
         """SLOWER; the frames continue the stored plan."""
         tier, plan = self.last_resort(now.memory, now.scene, proposal)
         held = tier is Tier.STORED_PLAN and not now.memory.watch.violated and now.fail_safe().margin >= -ROUNDING
-        return Tried(tier, Reason.PRECAUTION if held else Reason.NO_SAFE_PLAN, plan)
+        return JudgedPlan(tier, Reason.PRECAUTION if held else Reason.NO_SAFE_PLAN, plan)
 
-    def last_resort(self, memory: Memory[int], scene: Scene | Unreadable, proposal: Wish) -> tuple[Tier, Plan[int]]:
+    def last_resort(
+        self, memory: Memory[int], scene: Scene | Unreadable, proposal: MetaActionProposal
+    ) -> tuple[Tier, Plan[int]]:
         """SLOWER; the frames continue the stored plan."""
         tier = Tier.STORED_PLAN if memory.stored is not None else Tier.EMERGENCY
         return tier, Plan(slower(proposal.labels), stored=memory.stored, entered=memory.entered)
@@ -119,13 +123,15 @@ class MetaActions:
                 mask[group] = [plan.verified for plan in plans]
         return mask
 
-    def lasts(self, now: Instant, action: int) -> bool:
+    def lasts(self, now: ObservedScene, action: int) -> bool:
         """Whether an action must be expected to last for the whole decision, besides verifying for a frame."""
         return _changes_lane(now, now.scene.target_of(action))
 
     # -- pieces ------------------------------------------------------------------------------------------
 
-    def _alternatives(self, now: Instant, proposal: Wish, targets: list[Target], changes: bool) -> list[int]:
+    def _alternatives(
+        self, now: ObservedScene, proposal: MetaActionProposal, targets: list[Target], changes: bool
+    ) -> list[int]:
         """Actions that may replace the proposal, in the policy's order or the default one."""
         labels, wanted = now.scene.control.actions, resolve(proposal.order)
         if wanted is None:
@@ -137,7 +143,7 @@ class MetaActions:
         return [a for a in wanted if a != proposal.action and targets[a] != targets[proposal.action]]
 
     def _verify(
-        self, now: Instant, actions: Sequence[int], targets: list[Target], forecast: bool = False
+        self, now: ObservedScene, actions: Sequence[int], targets: list[Target], forecast: bool = False
     ) -> list[Plan[int]]:
         """Verify each target command for one frame: the bound of the certificate.
 
@@ -171,7 +177,7 @@ class MetaActions:
         return out
 
     def _verify_actions(
-        self, now: Instant, actions: Sequence[int], targets: list[Target], forecast: bool = True
+        self, now: ObservedScene, actions: Sequence[int], targets: list[Target], forecast: bool = True
     ) -> list[Plan[int]]:
         """Verify alternatives in one batch; a lane change also with capped speeds."""
         labels = now.scene.control.actions
@@ -182,7 +188,7 @@ class MetaActions:
                 continue
             speeds = {targets[a].speed}
             if labels[a].startswith("LANE"):
-                speeds |= held_back_speeds(now, targets[a])
+                speeds |= capped_speeds(now, targets[a])
             owner += [a] * len(speeds)
             tried += [Target(targets[a].lane, speed) for speed in sorted(speeds)]
         if not tried:
@@ -194,11 +200,11 @@ class MetaActions:
         return [best[a] for a in actions if a in best]
 
 
-def _from_here(now: Instant, path: FloatArray | None) -> FloatArray:
+def _from_here(now: ObservedScene, path: FloatArray | None) -> FloatArray:
     """Path with the ego's present state in front, (frames + 1, 4)."""
     return np.vstack([now.scene.ego_road, np.empty((0, 4)) if path is None else path])
 
 
-def _changes_lane(now: Instant, target: Target) -> bool:
+def _changes_lane(now: ObservedScene, target: Target) -> bool:
     """Whether a target command is in another lane than the ego."""
     return target.lane != now.here

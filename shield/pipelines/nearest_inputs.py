@@ -10,11 +10,11 @@ import numpy as np
 from dynamics.scenes.scene import Target
 from dynamics.state import State
 from dynamics.vehicle.controllers import speed_control, steering_control
-from shield.certificate.road.memory import Instant
+from shield.certificate.road.memory import ObservedScene
 from shield.config import ShieldConfig
 from shield.pipelines.decide import Plan
 from shield.pipelines.frames import FrameCommand
-from shield.pipelines.inputs import Inputs
+from shield.pipelines.inputs import InputPipeline
 
 __all__ = ["NearestInputs"]
 
@@ -28,9 +28,9 @@ class NearestInputs:
     """
 
     def __init__(self, config: ShieldConfig) -> None:
-        self._inputs = Inputs(config, norm="acceleration")
+        self._inputs = InputPipeline(config, norm="acceleration")
 
-    def plans(self, now: Instant, target: Target) -> Iterator[Plan[int]]:
+    def plans(self, now: ObservedScene, target: Target) -> Iterator[Plan[int]]:
         """The nearest inputs, and then those of the predictive filter."""
         scene = now.scene
         wheel = steering_control(scene.ego_road, scene.road.centers[target.lane])

@@ -17,21 +17,21 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.scenes.parking_lot import Lot
+from dynamics.scenes.parking_lot import ParkingScene
 from dynamics.scenes.rectangles import gaps
 from dynamics.state import FloatArray, State
 from dynamics.vehicle.actuators import Actuators
 from dynamics.vehicle.bicycle import MAX_SPEED
 from dynamics.vehicle.wheel_held_stops import stops
-from shield.alternatives.nearest_input import Judged, Search
+from shield.alternatives.nearest_input import JudgedInputs, NearestInputSearch
 from shield.certificate.road.memory import Memory
-from shield.certificate.road.monitor import Stillness
+from shield.certificate.road.monitor import ParkingMonitor
 from shield.config import ShieldConfig
 from shield.decision import Reason, Tier
 from shield.errors import ConfigError
-from shield.pipelines.decide import Plan, Tried, Unreadable
+from shield.pipelines.decide import JudgedPlan, Plan, Unreadable
 
-__all__ = ["ParkingLot"]
+__all__ = ["ParkingLotPipeline"]
 
 _ROUNDING = 1e-5
 """Bound on the rounding error up to a stop, single precision of actions included [m]."""
@@ -47,11 +47,11 @@ _NO_LANE = [0]
 class _Now:
     """A parking lot together with the memory."""
 
-    lot: Lot
+    lot: ParkingScene
     memory: Memory[float]
 
 
-class ParkingLot:
+class ParkingLotPipeline:
     """Decides about throttle and steering among obstacles that stand still; `Memory.stored` is the wheel angle [rad].
 
     Parameters
@@ -85,7 +85,7 @@ class ParkingLot:
                 )
             self._braking = min(self._braking, brake)
 
-    def refuses(self, scene: Lot, proposal: FloatArray | None) -> Reason | None:
+    def refuses(self, scene: ParkingScene, proposal: FloatArray | None) -> Reason | None:
         """Reason if the proposal is invalid or the parking lot cannot be judged; else None."""
         if proposal is None:
             return Reason.BAD_ACTION
@@ -93,36 +93,36 @@ class ParkingLot:
         good = scene.finite and abs(scene.ego[State.SPEED]) <= MAX_SPEED
         return None if good else Reason.BAD_SCENE
 
-    def observe(self, memory: Memory[float], scene: Lot) -> tuple[_Now, Memory[float]]:
+    def observe(self, memory: Memory[float], scene: ParkingScene) -> tuple[_Now, Memory[float]]:
         """Observe a parking lot: check that the obstacles stand still."""
-        watch = memory.watch if isinstance(memory.watch, Stillness) else Stillness()
+        watch = memory.watch if isinstance(memory.watch, ParkingMonitor) else ParkingMonitor()
         memory = replace(memory, watch=watch.next(scene.moving))
         return _Now(scene, memory), memory
 
-    def plans(self, view: _Now, proposal: FloatArray) -> Iterator[Tried[float]]:
+    def plans(self, view: _Now, proposal: FloatArray) -> Iterator[JudgedPlan[float]]:
         """The proposal, and the input nearest to it; no plans once an obstacle moves."""
         if view.memory.watch.violated:
             return
-        yield Tried(Tier.PASSED, Reason.NONE, self._plan(view.lot, self.judge(view.lot, proposal[None]), proposal))
+        yield JudgedPlan(Tier.PASSED, Reason.NONE, self._plan(view.lot, self.judge(view.lot, proposal[None]), proposal))
         nearest = self._nearest(view, proposal)
-        yield Tried(Tier.GOVERNED, Reason.UNVERIFIED, self._plan(view.lot, nearest))
+        yield JudgedPlan(Tier.GOVERNED, Reason.UNVERIFIED, self._plan(view.lot, nearest))
 
-    def fall_back(self, view: _Now, proposal: FloatArray, tried: list[Tried[float]]) -> Tried[float]:
+    def fall_back(self, view: _Now, proposal: FloatArray, tried: list[JudgedPlan[float]]) -> JudgedPlan[float]:
         """The stored stop as long as it keeps clear, else the least bad input. Once an obstacle moves, the last
         resort."""
         if view.memory.watch.violated:
             tier, plan = self.last_resort(view.memory, view.lot, proposal)
-            return Tried(tier, Reason.BAD_SCENE, replace(plan, stored=None))
+            return JudgedPlan(tier, Reason.BAD_SCENE, replace(plan, stored=None))
         if view.memory.stored is not None:
             # The rest of the plan verified a frame ago, up to the rounding error.
             law = self._law(view, proposal)
             kept = self.judge(view.lot, law[None])
             if kept.margin[0] >= -_ROUNDING:
-                return Tried(Tier.STORED_PLAN, Reason.NO_SAFE_PLAN, self._plan(view.lot, kept, law))
-        return Tried(Tier.LARGEST_MARGIN, Reason.NO_SAFE_PLAN, tried[-1].plan)
+                return JudgedPlan(Tier.STORED_PLAN, Reason.NO_SAFE_PLAN, self._plan(view.lot, kept, law))
+        return JudgedPlan(Tier.LARGEST_MARGIN, Reason.NO_SAFE_PLAN, tried[-1].plan)
 
     def last_resort(
-        self, memory: Memory[float], scene: Lot | Unreadable, proposal: FloatArray | None
+        self, memory: Memory[float], scene: ParkingScene | Unreadable, proposal: FloatArray | None
     ) -> tuple[Tier, Plan[float]]:
         """Inputs of the fail-safe: the stored wheel angle, or 0 without one."""
         floor = 0.0
@@ -144,7 +144,7 @@ class ParkingLot:
             law[1] = proposal[1]
         return law
 
-    def _nearest(self, view: _Now, proposal: FloatArray) -> Judged:
+    def _nearest(self, view: _Now, proposal: FloatArray) -> JudgedInputs:
         """The nearest input found; the least bad if none verifies."""
         lot, law = view.lot, self._law(view, proposal)
         limits = np.array([self.actuators.acceleration, self.actuators.steering]).T
@@ -153,7 +153,7 @@ class ParkingLot:
         spans = np.ptp([self.actuators.acceleration, self.actuators.steering], axis=1)
         # Beyond the actuators' range the brake is available, up to a stop of the ego.
         low, high = np.minimum(np.minimum(limits[0], law), proposal), np.maximum(np.maximum(limits[1], law), proposal)
-        search = Search(lambda inputs, lanes, parts: self.judge(lot, inputs), proposal, spans, low, high)
+        search = NearestInputSearch(lambda inputs, lanes, parts: self.judge(lot, inputs), proposal, spans, low, high)
         judged = search.run(_NO_LANE, law)
         far = float(np.hypot(*((judged.inputs[0] - proposal) / spans))) if judged.margin[0] >= 0 else np.inf
         if far > _FAR:
@@ -167,14 +167,14 @@ class ParkingLot:
         return judged
 
     @staticmethod
-    def _plan(lot: Lot, judged: Judged, action: FloatArray | None = None) -> Plan[float]:
+    def _plan(lot: ParkingScene, judged: JudgedInputs, action: FloatArray | None = None) -> Plan[float]:
         """The plan of the first judged input."""
         path = np.vstack([lot.ego[:4], judged.paths[0]])
         inputs = judged.inputs[0]
         margin, clear = float(judged.margin[0]), int(judged.clear[0])
         return Plan(inputs if action is None else action, margin, float(inputs[1]), path, clear=clear)
 
-    def judge(self, lot: Lot, inputs: FloatArray) -> Judged:
+    def judge(self, lot: ParkingScene, inputs: FloatArray) -> JudgedInputs:
         """Margins of inputs (n, 2), each held and followed by the fail-safe; the parts are the margins from each
         obstacle."""
         if self._agent:
@@ -190,4 +190,4 @@ class ParkingLot:
         margin[np.abs(paths[..., State.SPEED]).max(axis=1) > MAX_SPEED] = -np.inf
         bad: Any = np.any(room < 0, axis=2)
         clear = np.where(bad.any(axis=1), bad.argmax(axis=1), paths.shape[1])
-        return Judged(inputs, margin, clear, np.zeros(len(inputs), dtype=int), paths, parts)
+        return JudgedInputs(inputs, margin, clear, np.zeros(len(inputs), dtype=int), paths, parts)

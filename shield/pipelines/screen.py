@@ -11,14 +11,14 @@ from shield.alternatives.preference import Order, resolve
 from shield.certificate.road.memory import Memory
 from shield.config import ShieldConfig
 from shield.decision import Reason, Tier
-from shield.pipelines.decide import Plan, Tried, Unreadable
+from shield.pipelines.decide import JudgedPlan, Plan, Unreadable
 from shield.rules import BufferRule, RssRule, Rule, TtcRule, make_rule
 
-__all__ = ["RuleAlone", "Screen", "Wish", "slower"]
+__all__ = ["MetaActionProposal", "RulePipeline", "RuleScreen", "slower"]
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class MetaActionProposal:
     """A proposed meta-action.
 
     Attributes
@@ -32,7 +32,7 @@ class Wish:
     order: Order = None
 
 
-class Screen:
+class RuleScreen:
     """The stages before verification, for one configuration.
 
     Attributes
@@ -44,7 +44,7 @@ class Screen:
         self.buffer = BufferRule(config.buffer.longitudinal)
         self._explain: tuple[Rule, ...] = (RssRule(config), TtcRule(config.time_to_collision))
 
-    def refuses(self, scene: Scene, proposal: Wish) -> Reason | None:
+    def refuses(self, scene: Scene, proposal: MetaActionProposal) -> Reason | None:
         """Reason if the proposal is invalid or the scene is not finite; else None."""
         if not 0 <= proposal.action < len(proposal.labels):
             return Reason.BAD_ACTION
@@ -55,7 +55,7 @@ class Screen:
         return next((r.reason for r in self._explain if r.objects(scene, target)), Reason.UNVERIFIED)
 
 
-class RuleAlone:
+class RulePipeline:
     """One rule without verification. It replaces a refused action by SLOWER, or in the mode "ttc-ranking" by the first
     accepted action in the policy's order of preference.
 
@@ -71,9 +71,9 @@ class RuleAlone:
 
     def __init__(self, config: ShieldConfig, rule: Rule | None = None) -> None:
         self.config = config
-        self._screen, self.rule = Screen(config), rule if rule is not None else make_rule(config.mode, config)
+        self._screen, self.rule = RuleScreen(config), rule if rule is not None else make_rule(config.mode, config)
 
-    def refuses(self, scene: Scene, proposal: Wish) -> Reason | None:
+    def refuses(self, scene: Scene, proposal: MetaActionProposal) -> Reason | None:
         """Reason if the proposal is invalid or the scene is not finite; else None."""
         return self._screen.refuses(scene, proposal)
 
@@ -81,14 +81,14 @@ class RuleAlone:
         """The scene itself, with the memory unchanged."""
         return scene, memory
 
-    def plans(self, view: Scene, proposal: Wish) -> Iterator[Tried[Any]]:
+    def plans(self, view: Scene, proposal: MetaActionProposal) -> Iterator[JudgedPlan[Any]]:
         """The proposal, or the action that replaces it."""
         executed = next((a for a in self._candidates(proposal) if not self._refuses(view, a)), slower(proposal.labels))
         passed = executed == proposal.action
         tier, reason = (Tier.PASSED, Reason.NONE) if passed else (Tier.ALTERNATIVE, self.rule.reason)
-        yield Tried(tier, reason, Plan(executed, trusted=True))
+        yield JudgedPlan(tier, reason, Plan(executed, trusted=True))
 
-    def _candidates(self, proposal: Wish) -> Iterator[int]:
+    def _candidates(self, proposal: MetaActionProposal) -> Iterator[int]:
         """The proposal and, in the mode "ttc-ranking", the policy's other actions in order of preference."""
         yield proposal.action
         if self.config.mode == "ttc-ranking":
@@ -97,11 +97,13 @@ class RuleAlone:
     def _refuses(self, view: Scene, action: int) -> bool:
         return self.rule.objects(view, view.target_of(action))
 
-    def fall_back(self, view: Scene, proposal: Wish, tried: list[Tried[Any]]) -> Tried[Any]:
+    def fall_back(self, view: Scene, proposal: MetaActionProposal, tried: list[JudgedPlan[Any]]) -> JudgedPlan[Any]:
         """Never called: `plans` always has a trusted plan."""
         return tried[-1]
 
-    def last_resort(self, memory: Memory[Any], scene: Scene | Unreadable, proposal: Wish) -> tuple[Tier, Plan[Any]]:
+    def last_resort(
+        self, memory: Memory[Any], scene: Scene | Unreadable, proposal: MetaActionProposal
+    ) -> tuple[Tier, Plan[Any]]:
         """SLOWER."""
         return Tier.EMERGENCY, Plan(slower(proposal.labels))
 

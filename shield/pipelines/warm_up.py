@@ -13,10 +13,10 @@ from shield.certificate.road.memory import Memory
 from shield.compiling import announced
 from shield.config import ShieldConfig
 from shield.pipelines.decide import decide
-from shield.pipelines.frames import Frames
-from shield.pipelines.inputs import Inputs
-from shield.pipelines.meta_actions import MetaActions
-from shield.pipelines.screen import Wish
+from shield.pipelines.frames import FramePipeline
+from shield.pipelines.inputs import InputPipeline
+from shield.pipelines.meta_actions import MetaActionPipeline
+from shield.pipelines.screen import MetaActionProposal
 from shield.rules import RssRule, TtcRule
 
 __all__ = ["warm_up"]
@@ -27,12 +27,12 @@ def warm_up() -> None:
     """Make some decisions in a small scene, with a progress line if that takes long."""
     with announced("worst case on highways"):
         config = ShieldConfig()
-        frames, meta = Frames(config), MetaActions(config)
-        inputs = Inputs(config, predictive=False)
+        frames, meta = FramePipeline(config), MetaActionPipeline(config)
+        inputs = InputPipeline(config, predictive=False)
         memory: Memory[int] = Memory()
         for k in range(2):
             scene = _scene(k)
-            _, memory = decide(memory, scene, Wish(2, scene.control.actions), meta)
+            _, memory = decide(memory, scene, MetaActionProposal(2, scene.control.actions), meta)
             _, memory = decide(memory, scene, Target(1, 40.0), frames)
             decide(memory, scene, np.array([5.0, 0.3]), inputs)
             for rule in (RssRule(config), TtcRule(config.time_to_collision)):

@@ -6,16 +6,16 @@ from typing import Any
 
 from highway_env.envs.common.action import ContinuousAction
 
-from dynamics.scenes.parking_lot import is_lot
+from dynamics.scenes.parking_lot import is_parking_lot
 from shield.errors import ConfigError
-from shield.filters.simulated.remedies import team_by_simulation
+from shield.filters.simulated.remedies import multi_agent_advice
 
-__all__ = ["the_action_type"]
+__all__ = ["action_type_name"]
 
 _META, _INPUTS = "DiscreteMetaAction", "ContinuousAction"
 
 
-def the_action_type(bases: list[Any], wrapper: str) -> str:
+def action_type_name(bases: list[Any], wrapper: str) -> str:
     """The action type of the policy: "DiscreteMetaAction" or "ContinuousAction". `DiscreteAction` counts as the latter.
 
     Raises
@@ -32,11 +32,11 @@ def the_action_type(bases: list[Any], wrapper: str) -> str:
             return _META
     names = ", ".join(sorted(kind.__name__ for kind in kinds))
     if names == "MultiAgentAction":
-        instead = team_by_simulation(bases[0])
+        instead = multi_agent_advice(bases[0])
         raise ConfigError(
             f"{wrapper} filters one ego's actions{f'; {instead}' if instead else ', and here are several'}"
         )
-    valid = _INPUTS if any(map(is_lot, bases)) else _META
+    valid = _INPUTS if any(map(is_parking_lot, bases)) else _META
     raise ConfigError(
         f"{wrapper} filters {_META}, {_INPUTS} or DiscreteAction; this environment has {names}. "
         f'Pass config={{"action": {{"type": "{valid}"}}}} to gym.make'

@@ -12,7 +12,7 @@ from highway_env.envs.common.action import DiscreteMetaAction, MultiAgentAction
 from dynamics.highway_simulator.env import CompiledHighwayEnv
 from dynamics.road_networks.geometry.network import has_crossing_ways
 from dynamics.road_networks.simulation.simulator import NetworkSimulator
-from dynamics.scenes.parking_lot import is_lot
+from dynamics.scenes.parking_lot import is_parking_lot
 from dynamics.traffic.assumptions import Assumptions
 from shield.certificate.network.others import default_on, has_crossings
 from shield.config import SIMULATED, WORST_CASE, ShieldConfig
@@ -23,11 +23,11 @@ from shield.filters.simulated.predicted_scene import check_traffic
 __all__ = [
     "ChosenSettings",
     "Given",
-    "Place",
+    "SettingsContext",
     "as_settings",
+    "cannot_stop_text",
     "choose_settings",
     "verification_of",
-    "why_it_cannot_stop",
     "why_not_simulated",
 ]
 
@@ -55,7 +55,7 @@ _PROMISES = {
 }
 
 
-class Place(NamedTuple):
+class SettingsContext(NamedTuple):
     """Conditions for the choice of settings.
 
     Attributes
@@ -119,7 +119,7 @@ def as_settings(given: ShieldConfig | str | Path | None) -> Given:
     return ShieldConfig.of(given)
 
 
-def choose_settings(given: Given, place: Place) -> ChosenSettings:
+def choose_settings(given: Given, place: SettingsContext) -> ChosenSettings:
     """Settings for an environment of one ego or several.
 
     Without given settings, highway-env's own traffic is simulated on road networks. It is also simulated wherever the
@@ -150,7 +150,7 @@ def verification_of(config: ShieldConfig) -> Verification:
     return Verification.SIMULATED if config.simulates else Verification.WORST_CASE
 
 
-def why_it_cannot_stop(base: Any) -> str:
+def cannot_stop_text(base: Any) -> str:
     """Text on meta-actions that cannot stop the ego before a crossing, with a measurement and the remedy. "" if they
     can, if no lanes cross, and for other actions.
 
@@ -158,7 +158,7 @@ def why_it_cannot_stop(base: Any) -> str:
     ----------
     base : highway-env's environment, unwrapped.
     """
-    if base.road is None or is_lot(base) or not has_crossing_ways(base.road.network):
+    if base.road is None or is_parking_lot(base) or not has_crossing_ways(base.road.network):
         return ""
     each = getattr(base.action_type, "agents_action_types", [base.action_type])
     slowest = max((float(kind.target_speeds[0]) for kind in each if type(kind) is DiscreteMetaAction), default=0.0)
@@ -186,10 +186,10 @@ def why_not_simulated(base: Any) -> str:
     return ""
 
 
-def _better_simulated(place: Place) -> bool:
+def _better_simulated(place: SettingsContext) -> bool:
     """Whether the default is simulated traffic, if it can be simulated."""
     base = place.base
-    if base is None or base.road is None or is_lot(base):
+    if base is None or base.road is None or is_parking_lot(base):
         return False
     if not place.frames:
         # Throttle and steering are simulated frame by frame.
@@ -198,7 +198,7 @@ def _better_simulated(place: Place) -> bool:
     return has_crossings(base) or len(getattr(base, "controlled_vehicles", ())) > 1 or slips
 
 
-def _worst_case(place: Place) -> ShieldConfig:
+def _worst_case(place: SettingsContext) -> ShieldConfig:
     """Settings of the worst case."""
     if place.inputs:
         return ShieldConfig()
@@ -207,13 +207,15 @@ def _worst_case(place: Place) -> ShieldConfig:
     return ShieldConfig() if place.rule or place.base is None else default_on(place.base)
 
 
-def _described(place: Place, config: ShieldConfig, by_default: bool = False, caution: str = "") -> ChosenSettings:
+def _described(
+    place: SettingsContext, config: ShieldConfig, by_default: bool = False, caution: str = ""
+) -> ChosenSettings:
     """The settings with their promise."""
     kind = verification_of(config)
     if config.mode == "full" and place.rule:
         kind = Verification.RULE
-    elif kind is Verification.WORST_CASE and place.base is not None and is_lot(place.base):
+    elif kind is Verification.WORST_CASE and place.base is not None and is_parking_lot(place.base):
         kind = Verification.STANDING
     name = "observations" if place.base is None else type(place.base).__name__
-    too_fast = "" if kind is Verification.OFF or place.base is None else why_it_cannot_stop(place.base)
+    too_fast = "" if kind is Verification.OFF or place.base is None else cannot_stop_text(place.base)
     return ChosenSettings(config, kind, f"{name}: {_PROMISES[kind]}", by_default, caution, too_fast)

@@ -13,7 +13,7 @@ from shield.decision import Decision, Reason
 from shield.errors import PolicyError, SceneError
 from shield.filters.discrete_action import action_labels
 
-__all__ = ["ActionWarning", "Patience"]
+__all__ = ["ActionWarning", "FailureLimit"]
 
 _log = logging.getLogger("shield")
 _ERRORS: dict[Reason, type[PolicyError | SceneError]] = {
@@ -22,7 +22,7 @@ _ERRORS: dict[Reason, type[PolicyError | SceneError]] = {
 }
 
 
-class Patience:
+class FailureLimit:
     """Logs the first decision that cannot be made, and raises after too many.
 
     Parameters

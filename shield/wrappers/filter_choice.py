@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
-from shield.filters.inputs import InputDoor
-from shield.filters.meta_actions import MetaDoor
-from shield.filters.network import RoadDoor
-from shield.filters.simulated.inputs import ExactInputDoor
-from shield.filters.simulated.meta_actions import ExactDoor
+from shield.filters.inputs import InputFilter
+from shield.filters.meta_actions import MetaActionFilter
+from shield.filters.network import NetworkFilter
+from shield.filters.simulated.inputs import SimulatedInputFilter
+from shield.filters.simulated.meta_actions import SimulatedMetaActionFilter
 from shield.perception.perceiving import PerceptionConfig
 from shield.perception.scenes import NO_OBSERVED_SCENES, scenes_of
 from shield.rules import Rule
@@ -18,13 +18,13 @@ from shield.rules import Rule
 if TYPE_CHECKING:
     from mpc.filter.program.road_step import StageModel
 
-__all__ = ["Door", "door_for"]
+__all__ = ["Door", "filter_for"]
 
-Door: TypeAlias = MetaDoor | InputDoor | ExactDoor | ExactInputDoor | RoadDoor
+Door: TypeAlias = MetaActionFilter | InputFilter | SimulatedMetaActionFilter | SimulatedInputFilter | NetworkFilter
 """A filter for the actions of one ego."""
 
 
-def door_for(
+def filter_for(
     env: Any,
     config: ShieldConfig,
     *,
@@ -51,14 +51,14 @@ def door_for(
     """
     base = env.unwrapped
     if not inputs and not config.simulates and not (on_roads and config.mode == "full"):
-        return MetaDoor(base, config, frames, rule, scenes_of(perception, env))
+        return MetaActionFilter(base, config, frames, rule, scenes_of(perception, env))
     door: Door
     if inputs and config.simulates:
-        door = ExactInputDoor(base, config)
+        door = SimulatedInputFilter(base, config)
     elif inputs:
-        door = InputDoor(base, config, agent=not frames, model=model)
+        door = InputFilter(base, config, agent=not frames, model=model)
     else:
-        door = ExactDoor(base, config) if config.simulates else RoadDoor(base, config)
+        door = SimulatedMetaActionFilter(base, config) if config.simulates else NetworkFilter(base, config)
     if perception != "simulator":
         raise ConfigError(NO_OBSERVED_SCENES)
     return door

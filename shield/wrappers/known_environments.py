@@ -11,10 +11,10 @@ from shield.perception.known import Known
 from shield.perception.perceiving import PerceptionConfig
 from shield.perception.unwrapping import check_wrappers
 
-__all__ = ["known_beforehand"]
+__all__ = ["prior_maps"]
 
 
-def known_beforehand(
+def prior_maps(
     env: Any, known: Known | Sequence[Known] | None, frames: bool, perception: str | PerceptionConfig
 ) -> tuple[Known, ...]:
     """Prior map of each environment, if observations are the only other source; () if the environments are in this

@@ -12,10 +12,10 @@ import numpy as np
 from shield.decision import Decision, Guarantee, Intervention, weakest
 from shield.explanation import Explanation
 
-__all__ = ["Offences", "Statistics", "report", "team_record", "team_report"]
+__all__ = ["Statistics", "ViolationCount", "multi_agent_record", "multi_agent_report", "report"]
 
 
-class Offences:
+class ViolationCount:
     """Number of violations of a filter at one time, for the difference to a later one."""
 
     def __init__(self, door: Any) -> None:
@@ -111,7 +111,7 @@ def report(record: Decision, violations: int, rules: Mapping[str, int]) -> dict[
 
 
 @dataclass(frozen=True, slots=True)
-class _OfOne:
+class _FirstRefusal:
     """Explains the record of several egos by its first refused proposal."""
 
     decision: Decision
@@ -121,7 +121,7 @@ class _OfOne:
         return self.decision.explain()
 
 
-def team_record(decisions: Sequence[Decision]) -> Decision:
+def multi_agent_record(decisions: Sequence[Decision]) -> Decision:
     """The decisions about several egos as one record, with tuples of the proposed and of the executed actions."""
     together = decisions[0].with_frames(decisions[1:])
     proposed, executed = (tuple(getattr(each, name) for each in decisions) for name in ("proposed", "executed"))
@@ -133,12 +133,12 @@ def team_record(decisions: Sequence[Decision]) -> Decision:
         frames=0,
         frames_overridden=0,
         held=None,
-        refusal=None if first is None else (replace(first, source=_OfOne(first)), 0),
+        refusal=None if first is None else (replace(first, source=_FirstRefusal(first)), 0),
     )
 
 
-def team_report(
+def multi_agent_report(
     record: Decision, decisions: Sequence[Decision], violations: int, rules: Mapping[str, int]
 ) -> dict[str, Any]:
-    """The record of several egos, see `team_record`, and the report of each decision under `agents`."""
+    """The record of several egos, see `multi_agent_record`, and the report of each decision under `agents`."""
     return {**report(record, violations, rules), "agents": [report(each, 0, {}) for each in decisions]}

@@ -18,25 +18,25 @@ from shield.decision import Decision, Verification
 from shield.environments import base_environments, check_step
 from shield.errors import ConfigError, SceneError
 from shield.filters.discrete_action import action_index
-from shield.filters.inputs import InputDoor
-from shield.filters.meta_actions import MetaDoor
-from shield.filters.network import RoadDoor
-from shield.filters.simulated.inputs import ExactInputDoor
-from shield.filters.simulated.meta_actions import ExactDoor
-from shield.filters.simulated.multi_agent import TeamDoor, is_team
+from shield.filters.inputs import InputFilter
+from shield.filters.meta_actions import MetaActionFilter
+from shield.filters.network import NetworkFilter
+from shield.filters.simulated.inputs import SimulatedInputFilter
+from shield.filters.simulated.meta_actions import SimulatedMetaActionFilter
+from shield.filters.simulated.multi_agent import MultiAgentFilter, is_multi_agent
 from shield.filters.supervision import Command, Supervision
 from shield.perception.perceiving import PerceptionConfig
 from shield.perception.scenes import NO_OBSERVED_SCENES
-from shield.pipelines.decide import Core
+from shield.pipelines.decide import DecisionCore
 from shield.rules import Rule
-from shield.wrappers.action_type import the_action_type
-from shield.wrappers.defaults import ChosenSettings, Place, as_settings, choose_settings
-from shield.wrappers.failure_limit import ActionWarning, Patience
-from shield.wrappers.filter_choice import Door, door_for
+from shield.wrappers.action_type import action_type_name
+from shield.wrappers.defaults import ChosenSettings, SettingsContext, as_settings, choose_settings
+from shield.wrappers.failure_limit import ActionWarning, FailureLimit
+from shield.wrappers.filter_choice import Door, filter_for
 from shield.wrappers.policy_adapters import as_policy, refuse_misfits
 from shield.wrappers.ranking import normalised, order_from_scores, ranking_of
-from shield.wrappers.report import Offences, Statistics, report, team_record, team_report
-from shield.wrappers.warm_filters import warm_up_door
+from shield.wrappers.report import Statistics, ViolationCount, multi_agent_record, multi_agent_report, report
+from shield.wrappers.warm_filters import warm_up_filter
 
 if TYPE_CHECKING:
     from mpc.filter.program.road_step import StageModel
@@ -159,12 +159,12 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._given, self._rule, self._model, self._perception = as_settings(config), rule, model, perception
         self._recording = False
         self._chosen = self._settings(kind)
-        self._door: Door | TeamDoor = self._made(kind)
+        self._door: Door | MultiAgentFilter = self._made(kind)
         self._observation: Any = None
         self._road: Any = None
         self._supervising = self.latency = 0.0
         self._episode, self._summed = Statistics(), False
-        self._patience = Patience(self.config.patience)
+        self._patience = FailureLimit(self.config.patience)
         self._action_warning = ActionWarning()
         self.decisions: list[Decision] = []
         self.frame_decisions: list[Decision] = []
@@ -172,7 +172,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     @property
     def last_decisions(self) -> list[Decision]:
         """The record of the last step, of each ego: the decision and its frames so far (`Decision.with_frames`)."""
-        if isinstance(self._door, TeamDoor):
+        if isinstance(self._door, MultiAgentFilter):
             return [each.with_frames(()) for each in self.decisions]
         return [each.with_frames(self.frame_decisions) for each in self.decisions]
 
@@ -182,7 +182,9 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         record, with tuples of the proposed and of the executed actions."""
         if not self.decisions:
             return None
-        return team_record(self.decisions) if isinstance(self._door, TeamDoor) else self.last_decisions[0]
+        return (
+            multi_agent_record(self.decisions) if isinstance(self._door, MultiAgentFilter) else self.last_decisions[0]
+        )
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment and clear everything about the last episode.
@@ -190,7 +192,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         `info["shield_episode"]` is about that episode, if an outer wrapper has ended it, so that no step reported it.
         """
         if self._episode.decisions and not self._summed and self._base.road is self._road:
-            before = Offences(self._door)
+            before = ViolationCount(self._door)
             self._door.look()
             self._episode.add_offences(*before.since(self._door))
         obs, info = self.env.reset(seed=seed, options=options)
@@ -198,7 +200,9 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             info["shield_episode"] = self._episode.summary()
         kind = self._kind()
         inputs, team = kind == "ContinuousAction", kind == "MultiAgentAction"
-        same = inputs is isinstance(self._door, InputDoor | ExactInputDoor) and team is isinstance(self._door, TeamDoor)
+        same = inputs is isinstance(self._door, InputFilter | SimulatedInputFilter) and team is isinstance(
+            self._door, MultiAgentFilter
+        )
         if not same:
             raise ConfigError("the reset has changed the environment's action type; make a new ShieldedEnv around it")
         if not isinstance(self._given, ShieldConfig):
@@ -217,12 +221,12 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         if self._base.road is None:
             raise SceneError("the environment has no road yet; call reset() first")
         start = perf_counter()
-        before = Offences(self._door)
-        if isinstance(self._door, TeamDoor):
+        before = ViolationCount(self._door)
+        if isinstance(self._door, MultiAgentFilter):
             decisions = self._door.decide(action)
             executed = tuple(int(each.executed) for each in decisions)
         else:
-            if isinstance(self._door, MetaDoor):
+            if isinstance(self._door, MetaActionFilter):
                 self._door.show(self._observation)
             decisions = [self._door.decide(action, self._order_of(action))]
             executed = decisions[0].executed
@@ -247,8 +251,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         offences = before.since(self._door)
         record = self.last_decision
         assert record is not None
-        if isinstance(self._door, TeamDoor):
-            info["shield"] = team_report(record, self.last_decisions, *offences)
+        if isinstance(self._door, MultiAgentFilter):
+            info["shield"] = multi_agent_report(record, self.last_decisions, *offences)
         else:
             info["shield"] = report(record, *offences)
         info["shield"]["verification"] = self.verification.value
@@ -264,7 +268,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         observes = self._perception != "simulator"
         return choose_settings(
             self._given,
-            Place(
+            SettingsContext(
                 self._base,
                 inputs=kind == "ContinuousAction",
                 worst_case_only=observes or self._model is not None,
@@ -274,7 +278,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     def _kind(self) -> str:
         """Name of the action type."""
-        return "MultiAgentAction" if is_team(self._base) else the_action_type([self._base], "ShieldedEnv")
+        return "MultiAgentAction" if is_multi_agent(self._base) else action_type_name([self._base], "ShieldedEnv")
 
     @property
     def config(self) -> ShieldConfig:
@@ -291,16 +295,16 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         """Meaning of the verification, in a sentence."""
         return self._chosen.promise
 
-    def _made(self, kind: str) -> Door | TeamDoor:
+    def _made(self, kind: str) -> Door | MultiAgentFilter:
         """The filter for the chosen settings."""
         config = self.config
-        door: Door | TeamDoor
-        if is_team(self._base):
-            door = TeamDoor(self._base, config)
+        door: Door | MultiAgentFilter
+        if is_multi_agent(self._base):
+            door = MultiAgentFilter(self._base, config)
             if self._perception != "simulator":
                 raise ConfigError(NO_OBSERVED_SCENES)
         else:
-            door = door_for(
+            door = filter_for(
                 self.env,
                 config,
                 inputs=kind == "ContinuousAction",
@@ -312,7 +316,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         # Last, because the filter's own refusals apply without rule and model too.
         if config.simulates and (self._rule is not None or self._model is not None):
             raise ConfigError("Assumptions.simulated_traffic() verifies by simulation: leave rule and model out")
-        warm_up_door(door)
+        warm_up_filter(door)
         if self._recording:
             door.record()
         self._chosen.announce()
@@ -323,7 +327,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
         (MaskablePPO cannot handle an empty mask; then `step` falls back for any action.)
         """
-        if not isinstance(self._door, MetaDoor | ExactDoor | RoadDoor):
+        if not isinstance(self._door, MetaActionFilter | SimulatedMetaActionFilter | NetworkFilter):
             raise ConfigError("action_masks() needs DiscreteMetaAction of one ego; this environment has other actions")
         return self._door.mask()
 
@@ -341,12 +345,12 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return deepcopy(self._episode)
 
     @property
-    def door(self) -> Door | TeamDoor:
+    def door(self) -> Door | MultiAgentFilter:
         """The filter; its class determines the kind of verification."""
         return self._door
 
     @property
-    def core(self) -> Core[Any]:
+    def core(self) -> DecisionCore[Any]:
         """The decision core, with the memory.
 
         Raises
@@ -354,7 +358,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         AttributeError
             If the traffic is simulated, or on a road network: the filters for these have none.
         """
-        if isinstance(self._door, ExactDoor | ExactInputDoor | TeamDoor | RoadDoor):
+        if isinstance(self._door, SimulatedMetaActionFilter | SimulatedInputFilter | MultiAgentFilter | NetworkFilter):
             raise AttributeError("there is no core where the traffic is simulated, and on networks of roads")
         return self._door.core
 
@@ -370,7 +374,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     def _frame(self) -> Command:
         start = perf_counter()
-        assert not isinstance(self._door, ExactDoor | TeamDoor)
+        assert not isinstance(self._door, SimulatedMetaActionFilter | MultiAgentFilter)
         command, decision = self._door.frame()
         self.frame_decisions.append(decision)
         self._supervising += perf_counter() - start

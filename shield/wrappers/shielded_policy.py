@@ -17,26 +17,26 @@ from shield.decision import Decision, Reason, Verification
 from shield.environments import base_environments, frames_of
 from shield.errors import ConfigError
 from shield.filters.discrete_action import action_index
-from shield.filters.inputs import InputDoor
-from shield.filters.meta_actions import MetaDoor
-from shield.filters.simulated.inputs import ExactInputDoor
-from shield.filters.simulated.meta_actions import ExactDoor
+from shield.filters.inputs import InputFilter
+from shield.filters.meta_actions import MetaActionFilter
+from shield.filters.simulated.inputs import SimulatedInputFilter
+from shield.filters.simulated.meta_actions import SimulatedMetaActionFilter
 from shield.filters.supervision import Command, Supervision
-from shield.perception.environment_free import BlindScenes
+from shield.perception.environment_free import EnvironmentFreeScenes
 from shield.perception.known import Known
 from shield.perception.perceiving import PerceptionConfig
-from shield.perception.unwrapping import as_shown
+from shield.perception.unwrapping import undo_vec_wrappers
 from shield.wrappers.action_rows import ActionRows, as_numbers
-from shield.wrappers.action_type import the_action_type
-from shield.wrappers.defaults import ChosenSettings, Place, as_settings, choose_settings
-from shield.wrappers.failure_limit import ActionWarning, Patience
-from shield.wrappers.filter_choice import Door, door_for
-from shield.wrappers.known_environments import known_beforehand
+from shield.wrappers.action_type import action_type_name
+from shield.wrappers.defaults import ChosenSettings, SettingsContext, as_settings, choose_settings
+from shield.wrappers.failure_limit import ActionWarning, FailureLimit
+from shield.wrappers.filter_choice import Door, filter_for
+from shield.wrappers.known_environments import prior_maps
 from shield.wrappers.policy_adapters import as_policy, refuse_misfits
 from shield.wrappers.ranking import Ranking
-from shield.wrappers.report import Offences, Statistics, report
-from shield.wrappers.stale_environment import Liveness
-from shield.wrappers.warm_filters import warm_up_door
+from shield.wrappers.report import Statistics, ViolationCount, report
+from shield.wrappers.stale_environment import StaleEnvironmentCheck
+from shield.wrappers.warm_filters import warm_up_filter
 from shield.wrappers.wrapped_policy import WrappedPolicy
 
 __all__ = ["Shield"]
@@ -44,7 +44,7 @@ __all__ = ["Shield"]
 _log = logging.getLogger(__name__)
 
 
-class _Proposed(NamedTuple):
+class _PolicyOutput(NamedTuple):
     """A policy's output: its actions and its state; the reason and the cause of a failure."""
 
     actions: Any
@@ -127,7 +127,7 @@ class Shield(WrappedPolicy):
                 "or load the model with its environment, PPO.load(path, env=env)"
             )
         self._env = env
-        self._known = known_beforehand(env, known, frames, perception)
+        self._known = prior_maps(env, known, frames, perception)
         self.policy = as_policy(policy, env)
         self._frames = frames
         self._doors: list[Door]
@@ -136,25 +136,25 @@ class Shield(WrappedPolicy):
             self._bases, self._inputs = [None] * len(self._known), False
         else:
             self._bases = base_environments(env, "Shield")
-            self._inputs = the_action_type(self._bases, "Shield") == "ContinuousAction"
+            self._inputs = action_type_name(self._bases, "Shield") == "ContinuousAction"
         refuse_misfits(self.policy, env)
         self._given, self._perception = as_settings(config), perception
         n, self._recording = len(self._bases), False
         self._chosen = [self._settings(i) for i in range(n)]
         if self._known:
             settings = perception if isinstance(perception, PerceptionConfig) else None
-            scenes = [BlindScenes(one, settings) for one in self._known]
-            self._doors = [MetaDoor(None, self.config, frames=False, scenes=each) for each in scenes]
-            warm_up_door(self._doors[0])
+            scenes = [EnvironmentFreeScenes(one, settings) for one in self._known]
+            self._doors = [MetaActionFilter(None, self.config, frames=False, scenes=each) for each in scenes]
+            warm_up_filter(self._doors[0])
         else:
             self._doors = [self._made(i) for i in range(n)]
         self._roads: list[Any] = [None] * n
         self._decided = [0] * n
-        self._patience = [Patience(self.config.patience) for _ in self._bases]
+        self._patience = [FailureLimit(self.config.patience) for _ in self._bases]
         self._action_warning = ActionWarning()
-        self._alive = [Liveness(base) for base in self._bases if base is not None]
+        self._alive = [StaleEnvironmentCheck(base) for base in self._bases if base is not None]
         self._supervisions: list[Supervision | None] = [None] * n
-        self._counted = [Offences(door) for door in self._doors]
+        self._counted = [ViolationCount(door) for door in self._doors]
         self._statistics = Statistics()
         self.decisions: list[Decision] = []
         self.frame_decisions: list[list[Decision]] = [[] for _ in range(n)]
@@ -162,12 +162,12 @@ class Shield(WrappedPolicy):
     def _settings(self, i: int) -> ChosenSettings:
         """The given settings, or the default for environment `i`."""
         observes = bool(self._known) or self._perception != "simulator"
-        return choose_settings(self._given, Place(self._bases[i], self._inputs, self._frames, observes))
+        return choose_settings(self._given, SettingsContext(self._bases[i], self._inputs, self._frames, observes))
 
     def _made(self, i: int) -> Door:
         """The filter for environment `i` with its chosen settings."""
         chosen, base = self._chosen[i], self._bases[i]
-        door = door_for(
+        door = filter_for(
             getattr(self._env, "envs", [self._env])[i],
             chosen.config,
             inputs=self._inputs,
@@ -180,7 +180,7 @@ class Shield(WrappedPolicy):
             raise ConfigError(
                 "Assumptions.simulated_traffic() verifies throttle and steering at every frame: frames=True"
             )
-        warm_up_door(door)
+        warm_up_filter(door)
         if self._recording:
             door.record()
         if i == 0:
@@ -324,11 +324,11 @@ class Shield(WrappedPolicy):
     def _form(self) -> tuple[int, bool]:
         """Number of values in an action, and whether it is a whole number."""
         first = self._doors[0]
-        if not isinstance(first, InputDoor | ExactInputDoor):
+        if not isinstance(first, InputFilter | SimulatedInputFilter):
             return 1, True
         return first.actuators.entries, first.actuators.choices is not None
 
-    def _propose(self, observation: Any, state: Any, episode_start: Any, deterministic: bool) -> _Proposed:
+    def _propose(self, observation: Any, state: Any, episode_start: Any, deterministic: bool) -> _PolicyOutput:
         """Output of the policy. An error of the policy becomes a reason in the record."""
         try:
             actions, state = self.policy.predict(
@@ -338,10 +338,10 @@ class Shield(WrappedPolicy):
             _log.debug("the policy raised", exc_info=True)
             shape = (len(self._doors),) if self._batched(observation) else ()
             nothing = np.full((*shape, self._form[0]) if self._inputs else shape, np.nan, np.float32)
-            return _Proposed(nothing, state, Reason.POLICY_FAILED, f"{type(error).__name__}: {error}")
+            return _PolicyOutput(nothing, state, Reason.POLICY_FAILED, f"{type(error).__name__}: {error}")
         numbers = None if self._inputs else as_numbers(actions)
         broken = numbers is not None and numbers.dtype.kind == "f" and not np.isfinite(numbers).all()
-        return _Proposed(actions, state, Reason.POLICY_FAILED if broken else None)
+        return _PolicyOutput(actions, state, Reason.POLICY_FAILED if broken else None)
 
     def _decide(self, i: int, proposal: Any, ranking: Ranking, reason: Reason | None) -> Decision:
         """Decision for environment `i`, with its frames supervised from now on."""
@@ -375,22 +375,22 @@ class Shield(WrappedPolicy):
                 self._chosen[i] = chosen
                 self._doors[i] = door = self._made(i)
             door.reset()
-        self._counted[i], self.frame_decisions[i] = Offences(door), []
+        self._counted[i], self.frame_decisions[i] = ViolationCount(door), []
 
     def _show(self, observation: Any, unsaid: bool) -> None:
         """Present each environment's observation to its scene reader. With `unsaid`, no caller marks the beginning of
         an episode."""
-        if not isinstance(self._doors[0], MetaDoor) or not self._doors[0].observing:
+        if not isinstance(self._doors[0], MetaActionFilter) or not self._doors[0].observing:
             return
-        shown, n = as_shown(self._env, observation), len(self._doors)
+        shown, n = undo_vec_wrappers(self._env, observation), len(self._doors)
         if n > 1 and len(shown) != n:
             raise ConfigError(f"there are {len(shown)} observations for {n} environments; a batch has one row for each")
         for i, door in enumerate(self._doors):
-            assert isinstance(door, MetaDoor)
+            assert isinstance(door, MetaActionFilter)
             door.show(_row(shown, i, n))
             if unsaid and door.begins():
                 door.reset()
-                self._counted[i] = Offences(door)
+                self._counted[i] = ViolationCount(door)
                 door.show(_row(shown, i, n))
 
     def _actions(self, i: int) -> int:
@@ -408,7 +408,7 @@ class Shield(WrappedPolicy):
 
     def _frame(self, i: int) -> Command:
         door = self._doors[i]
-        assert not isinstance(door, ExactDoor)
+        assert not isinstance(door, SimulatedMetaActionFilter)
         command, decision = door.frame()
         self.frame_decisions[i].append(decision)
         return command

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from shield.environments import check_gone_on
+from shield.environments import check_single_decision
 from shield.errors import SceneError
 
-__all__ = ["Liveness"]
+__all__ = ["StaleEnvironmentCheck"]
 
 
-class Liveness:
+class StaleEnvironmentCheck:
     """Detects an environment that stands still while its observations change.
 
     Parameters
@@ -39,7 +39,7 @@ class Liveness:
         if last is None or last[0] is not road:
             return
         if frame is not None and last[1] is not None:
-            check_gone_on(self._base, last[1])
+            check_single_decision(self._base, last[1])
         if last[1] == frame and last[2] != seen:
             raise SceneError(
                 "the shield reads an environment that is not driven: the observation has changed, but its episode "

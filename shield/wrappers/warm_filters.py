@@ -9,50 +9,56 @@ import numpy as np
 
 from shield.compiling import announced, estimated_units
 from shield.config import ShieldConfig
-from shield.filters.network import RoadDoor
-from shield.filters.simulated.inputs import ExactInputDoor
-from shield.filters.simulated.meta_actions import ExactDoor
-from shield.filters.simulated.multi_agent import TeamDoor
+from shield.filters.network import NetworkFilter
+from shield.filters.simulated.inputs import SimulatedInputFilter
+from shield.filters.simulated.meta_actions import SimulatedMetaActionFilter
+from shield.filters.simulated.multi_agent import MultiAgentFilter
 from shield.pipelines.warm_up import warm_up
 from shield.wrappers.filter_choice import Door
 
-__all__ = ["warm_up_door", "warm_up_exact", "warm_up_exact_inputs", "warm_up_explanations", "warm_up_roads"]
+__all__ = [
+    "warm_up_explanations",
+    "warm_up_filter",
+    "warm_up_networks",
+    "warm_up_simulated",
+    "warm_up_simulated_inputs",
+]
 
 _EXPLANATIONS = {True: "simulated explanations on networks", False: "simulated explanations on highways"}
 """Parts, by whether the traffic is simulated as a road network."""
 
 
-def warm_up_door(door: Door | TeamDoor) -> None:
+def warm_up_filter(door: Door | MultiAgentFilter) -> None:
     """Compile the kernels of a filter."""
-    if isinstance(door, TeamDoor):
-        warm_up_exact(True)
-    elif isinstance(door, ExactDoor):
-        warm_up_exact(door.on_network)
-    elif isinstance(door, ExactInputDoor):
-        warm_up_exact_inputs()
-    elif isinstance(door, RoadDoor):
-        warm_up_roads()
+    if isinstance(door, MultiAgentFilter):
+        warm_up_simulated(True)
+    elif isinstance(door, SimulatedMetaActionFilter):
+        warm_up_simulated(door.on_network)
+    elif isinstance(door, SimulatedInputFilter):
+        warm_up_simulated_inputs()
+    elif isinstance(door, NetworkFilter):
+        warm_up_networks()
     else:
         warm_up()
 
 
 @cache
-def warm_up_exact(network: bool) -> None:
+def warm_up_simulated(network: bool) -> None:
     """Compile the filter of meta-actions in simulated traffic, on a straight highway or on a road network."""
     with announced("simulated networks" if network else "simulated highways"):
         env = gym.make("u-turn-v1") if network else gym.make("highway-fast-v0", config={"vehicles_count": 3})
         env.reset(seed=0)
-        ExactDoor(env.unwrapped, ShieldConfig.simulated_traffic()).rehearse()
+        SimulatedMetaActionFilter(env.unwrapped, ShieldConfig.simulated_traffic()).rehearse()
     _load_explanations(network)
 
 
 @cache
-def warm_up_exact_inputs() -> None:
+def warm_up_simulated_inputs() -> None:
     """Compile the filter of throttle and steering in simulated traffic."""
     with announced("simulated throttle and steering"):
         env = gym.make("highway-fast-v0", config={"vehicles_count": 3, "action": {"type": "ContinuousAction"}})
         env.reset(seed=0)
-        door = ExactInputDoor(env.unwrapped, ShieldConfig.simulated_traffic())
+        door = SimulatedInputFilter(env.unwrapped, ShieldConfig.simulated_traffic())
         for action in ([0.0, 0.0], [1.0, 1.0], [np.nan, 0.0]):
             door.decide(action)
     # Throttle and steering are simulated as on a network, even on a straight highway.
@@ -65,7 +71,7 @@ def warm_up_explanations(network: bool) -> None:
     with announced(_EXPLANATIONS[network]):
         env = gym.make("u-turn-v1") if network else gym.make("highway-fast-v0", config={"vehicles_count": 3})
         env.reset(seed=0)
-        ExactDoor(env.unwrapped, ShieldConfig.simulated_traffic()).source(1).rehearse()
+        SimulatedMetaActionFilter(env.unwrapped, ShieldConfig.simulated_traffic()).source(1).rehearse()
 
 
 def _load_explanations(network: bool) -> None:
@@ -76,11 +82,11 @@ def _load_explanations(network: bool) -> None:
 
 
 @cache
-def warm_up_roads() -> None:
+def warm_up_networks() -> None:
     """Compile the filter of meta-actions on road networks, in the worst case."""
     with announced("worst case on networks"):
         env = gym.make("roundabout-v1")
         env.reset(seed=0)
-        door = RoadDoor(env.unwrapped, ShieldConfig.for_roads())
+        door = NetworkFilter(env.unwrapped, ShieldConfig.for_roads())
         door.decide(1)
         door.frame()

@@ -8,11 +8,16 @@ from types import MappingProxyType
 
 from dynamics.road_networks.episodes.simulator import RoadSimulator
 from shield.batch.highways import ShieldedHighways
-from shield.certificate.simulated.highways import ExactHighways
-from shield.certificate.simulated.roads import ExactRoads
+from shield.certificate.simulated.highways import SimulatedHighways
+from shield.certificate.simulated.roads import SimulatedRoads
 from shield.compiling import announced
 from shield.pipelines.warm_up import warm_up
-from shield.wrappers.warm_filters import warm_up_exact, warm_up_exact_inputs, warm_up_explanations, warm_up_roads
+from shield.wrappers.warm_filters import (
+    warm_up_explanations,
+    warm_up_networks,
+    warm_up_simulated,
+    warm_up_simulated_inputs,
+)
 
 __all__ = ["PARTS"]
 
@@ -27,7 +32,7 @@ def _compiled_highway() -> None:
 
 def _simulated_compiled_highway() -> None:
     with announced("compiled highway, simulated traffic"):
-        highways = ExactHighways("highway-fast-v0", 1)
+        highways = SimulatedHighways("highway-fast-v0", 1)
         highways.reset([0])
         highways.masks()
         highways.step([3])
@@ -40,7 +45,7 @@ def _compiled_networks() -> None:
 
 def _simulated_compiled_networks() -> None:
     with announced("compiled networks, simulated traffic"):
-        roads = ExactRoads("merge-v0", 1)
+        roads = SimulatedRoads("merge-v0", 1)
         roads.reset([0])
         roads.masks()
         roads.step([1])
@@ -49,10 +54,10 @@ def _simulated_compiled_networks() -> None:
 PARTS: Mapping[str, Callable[[], None]] = MappingProxyType(
     {
         "worst case on highways": warm_up,
-        "simulated highways": partial(warm_up_exact, False),
-        "simulated networks": partial(warm_up_exact, True),
-        "simulated throttle and steering": warm_up_exact_inputs,
-        "worst case on networks": warm_up_roads,
+        "simulated highways": partial(warm_up_simulated, False),
+        "simulated networks": partial(warm_up_simulated, True),
+        "simulated throttle and steering": warm_up_simulated_inputs,
+        "worst case on networks": warm_up_networks,
         "simulated explanations on highways": partial(warm_up_explanations, False),
         "simulated explanations on networks": partial(warm_up_explanations, True),
         "compiled highway": _compiled_highway,

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynamics.compiled import compiled, made_from
+from dynamics.compiled import compiled, source_digest
 
 FILES = {
     "inner.py": "from dynamics.compiled import compiled\nfrom numbers_of import BIAS\n\n"
@@ -40,9 +40,9 @@ def test_a_kernel_may_call_a_kernel():
 
 
 def test_a_called_kernel_is_part_of_the_digest():
-    first = made_from(compiled(quarter))
-    assert first == made_from(compiled(quarter))
-    assert first != made_from(half)
+    first = source_digest(compiled(quarter))
+    assert first == source_digest(compiled(quarter))
+    assert first != source_digest(half)
 
 
 def run(folder: Path, program: str = PROGRAM) -> tuple[float, int]:
@@ -101,15 +101,15 @@ def reads_member(x):
 
 
 def test_a_global_array_is_part_of_the_digest(monkeypatch):
-    first = made_from(compiled(reads_array))
+    first = source_digest(compiled(reads_array))
     monkeypatch.setitem(globals(), "ARRAY", np.array([3.0, 2.0]))
-    assert made_from(compiled(reads_array)) != first
+    assert source_digest(compiled(reads_array)) != first
 
 
 def test_the_members_of_an_enumeration_are_part_of_the_digest(monkeypatch):
-    first = made_from(compiled(reads_member))
+    first = source_digest(compiled(reads_member))
     monkeypatch.setitem(globals(), "Kind", IntEnum("Kind", {"A": 2}))
-    assert made_from(compiled(reads_member)) != first
+    assert source_digest(compiled(reads_member)) != first
 
 
 MOVED = """

@@ -10,8 +10,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from dynamics.highway_simulator.env import CompiledHighwayEnv
 from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.batch.highways import ShieldedHighways
-from shield.certificate.simulated.highways import ExactHighways
-from shield.certificate.simulated.roads import ExactRoads
+from shield.certificate.simulated.highways import SimulatedHighways
+from shield.certificate.simulated.roads import SimulatedRoads
 from shield.errors import ConfigError, SceneError
 from shield.filters.supervision import limited_braking
 from shield.perception.known import Known
@@ -88,8 +88,8 @@ def test_several_egos_are_refused_in_the_same_way(config, message):
     "build",
     [
         lambda: ShieldedHighways("highway-fast-v0", 1, REVERSING),
-        lambda: ExactHighways("highway-fast-v0", 1, REVERSING),
-        lambda: ExactRoads("roundabout-v1", 1, REVERSING),
+        lambda: SimulatedHighways("highway-fast-v0", 1, REVERSING),
+        lambda: SimulatedRoads("roundabout-v1", 1, REVERSING),
         lambda: ShieldedEnv(CompiledHighwayEnv("highway-fast-v0", REVERSING)),
         lambda: Known.from_config({**highway_config(), **REVERSING}),
     ],
@@ -242,8 +242,8 @@ def test_the_worst_case_is_verified_from_5_hz_on_elsewhere_too(env_id, config):
     "build",
     [
         lambda slow: ShieldedHighways("highway-fast-v0", 1, slow),
-        lambda slow: ExactHighways("highway-fast-v0", 1, slow),
-        lambda slow: ExactRoads("merge-v1", 1, slow),
+        lambda slow: SimulatedHighways("highway-fast-v0", 1, slow),
+        lambda slow: SimulatedRoads("merge-v1", 1, slow),
         lambda slow: Known.from_config({**highway_config(), **slow}),
     ],
 )

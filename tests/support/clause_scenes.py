@@ -12,7 +12,7 @@ from dynamics.vehicle.controllers import steering_control
 from dynamics.vehicle.rollouts import Rollouts
 from shield import Decision, ShieldConfig
 from shield.certificate.road.manoeuvres import brake_candidates
-from shield.certificate.road.verify import Clearance, Surveyor
+from shield.certificate.road.verify import Clearance, PathVerifier
 
 __all__ = ["BODY", "CONFIG", "DT", "after", "along", "braking", "clear", "driven", "extents", "margin", "scene_of"]
 
@@ -33,7 +33,7 @@ def braking(scene, lane, fail=None, config=CONFIG, **marks) -> Clearance:
     fails = [lane if fail is None else fail]
     candidates = brake_candidates(scene, [lane], [scene.ego[3]], fails, 1, config.braking)
     paths = candidates.paths(Rollouts(scene.dt, scene.road), scene.ego_road)
-    return Surveyor(scene, config, **marks).clearance(paths, candidates.lanes, candidates.fails)
+    return PathVerifier(scene, config, **marks).clearance(paths, candidates.lanes, candidates.fails)
 
 
 def margin(scene, lane, fail=None, config=CONFIG, **marks) -> float:
@@ -49,7 +49,7 @@ def along(scene, path, lane=0, config=CONFIG, **marks) -> float:
     """Least separation on a given path (K, 4)."""
     lanes = np.array([lane])
     return float(
-        Surveyor(scene, config, **marks)
+        PathVerifier(scene, config, **marks)
         .clearance(np.array([path], float), lanes, lanes)
         .separations.min(initial=np.inf)
     )

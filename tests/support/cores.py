@@ -10,15 +10,15 @@ import numpy as np
 
 from dynamics.vehicle.actuators import Actuators
 from shield import Decision, ShieldConfig, Tier
-from shield.certificate.road.memory import Instant
-from shield.pipelines.decide import Core
-from shield.pipelines.frames import Frames
-from shield.pipelines.inputs import Inputs
-from shield.pipelines.meta_actions import MetaActions
-from shield.pipelines.meta_actions_only import MetaActionsOnly
+from shield.certificate.road.memory import ObservedScene
+from shield.pipelines.decide import DecisionCore
+from shield.pipelines.frames import FramePipeline
+from shield.pipelines.inputs import InputPipeline
+from shield.pipelines.meta_actions import MetaActionPipeline
+from shield.pipelines.meta_actions_only import UnsupervisedMetaActionPipeline
 from shield.pipelines.nearest_inputs import NearestInputs
-from shield.pipelines.parking_lot import ParkingLot
-from shield.pipelines.screen import RuleAlone, Wish
+from shield.pipelines.parking_lot import ParkingLotPipeline
+from shield.pipelines.screen import MetaActionProposal, RulePipeline
 
 __all__ = ["ContinuousCore", "LotCore", "MetaCore", "ShieldCore", "nowhere"]
 
@@ -34,7 +34,7 @@ def nowhere(judged: Any) -> Any:
 
 
 class _Driven:
-    core: Core[Any]
+    core: DecisionCore[Any]
 
     def prepare(self, scene: Any) -> None:
         self.core.procedure.prepare(scene)
@@ -58,7 +58,7 @@ class _Driven:
     def stored(self, value: Any) -> None:
         self.core.memory = replace(self.core.memory, stored=value)
 
-    def look(self, scene: Any) -> Instant:
+    def look(self, scene: Any) -> ObservedScene:
         """Take a scene in."""
         now, self.core.memory = self.core.procedure.observe(self.core.memory, scene)
         return now
@@ -73,13 +73,13 @@ class ShieldCore(_Driven):
 
     def __init__(self, config: ShieldConfig | None = None) -> None:
         self.config = config or ShieldConfig()
-        self.meta = MetaActions(self.config)
-        self.frames = Frames(self.config, NearestInputs(self.config) if self.config.repair == "filter" else None)
+        self.meta = MetaActionPipeline(self.config)
+        self.frames = FramePipeline(self.config, NearestInputs(self.config) if self.config.repair == "filter" else None)
         rule = self.config.mode not in ("none", "full")
-        self.core = Core(RuleAlone(self.config) if rule else self.meta)
+        self.core = DecisionCore(RulePipeline(self.config) if rule else self.meta)
 
     def decide(self, scene: Any, action: int, order: Any = None) -> Decision:
-        return self.core.decide(scene, Wish(action, scene.control.actions, order))
+        return self.core.decide(scene, MetaActionProposal(action, scene.control.actions, order))
 
     def supervise(self, scene: Any) -> tuple[Any, Decision]:
         decision = self.core.decide(scene, scene.control.target, self.frames)
@@ -93,10 +93,10 @@ class MetaCore(_Driven):
     """Meta-actions only, as behind `Shield`."""
 
     def __init__(self, config: ShieldConfig | None = None) -> None:
-        self.core = Core(MetaActionsOnly(config))
+        self.core = DecisionCore(UnsupervisedMetaActionPipeline(config))
 
     def decide(self, scene: Any, action: int, order: Any = None) -> Decision:
-        return self.core.decide(scene, Wish(action, scene.control.actions, order))
+        return self.core.decide(scene, MetaActionProposal(action, scene.control.actions, order))
 
 
 class ContinuousCore(_Driven):
@@ -110,8 +110,8 @@ class ContinuousCore(_Driven):
         hold: int | None = None,
         **more: Any,
     ) -> None:
-        self.inputs = Inputs(config or ShieldConfig(), actuators or Actuators(), hold, predictive, **more)
-        self.core = Core(self.inputs)
+        self.inputs = InputPipeline(config or ShieldConfig(), actuators or Actuators(), hold, predictive, **more)
+        self.core = DecisionCore(self.inputs)
 
     def judge(self, scene: Any, inputs: np.ndarray, lanes: list[int]) -> Any:
         return self.inputs.judge(self.look(scene), inputs, lanes)
@@ -123,8 +123,8 @@ class LotCore(_Driven):
     def __init__(
         self, config: ShieldConfig | None = None, actuators: Actuators | None = None, period: int | None = None
     ) -> None:
-        self.procedure = ParkingLot(config or ShieldConfig(), actuators, period)
-        self.core = Core(self.procedure)
+        self.procedure = ParkingLotPipeline(config or ShieldConfig(), actuators, period)
+        self.core = DecisionCore(self.procedure)
 
     def judge(self, lot: Any, inputs: np.ndarray) -> Any:
         return self.procedure.judge(lot, inputs)

@@ -20,7 +20,7 @@ from dynamics.scenes.scene import Scene
 from dynamics.state import FloatArray
 from shield import ShieldedEnv
 from shield.certificate.road.memory import observe
-from shield.pipelines.inputs import Inputs
+from shield.pipelines.inputs import InputPipeline
 
 __all__ = ["EdgeRider", "Skidder", "Stage", "ride"]
 
@@ -124,7 +124,7 @@ class Stage:
         riders = [bodies[i] for i in which]
         core = self._env.core
         scene: Scene = core.memory.survey.scene  # of this very frame: the ego has acted
-        inputs = core.procedure.execution.frames if isinstance(core.procedure, Inputs) else 1
+        inputs = core.procedure.execution.frames if isinstance(core.procedure, InputPipeline) else 1
         share, calm = np.ones(len(riders)), np.stack([r.calm for r in riders]) if riders else np.zeros((0, 2))
         for attempt in range(2 * _HALVINGS):
             for rider, part, kept in zip(riders, share, calm, strict=True):

@@ -1,9 +1,9 @@
 """Whether a plan that verified is still good a frame later: what the induction of the certificate rests on.
 
-An audit stands around `Core.decide`. In each new frame it judges what is left of the stored plan by the clauses of the
-certificate, without precautions and without the vehicles that have broken a rule. Where the plan was verified a frame
-before, or was found good then, its margin must not be negative. What a decision has verified, its first frame must not
-lose.
+An audit stands around `DecisionCore.decide`. In each new frame it judges what is left of the stored plan by the
+clauses of the certificate, without precautions and without the vehicles that have broken a rule. Where the plan was
+verified a frame before, or was found good then, its margin must not be negative. What a decision has verified, its
+first frame must not lose.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ import numpy as np
 from dynamics.scenes.scene import Scene
 from dynamics.state import Vehicle
 from shield import Decision, Reason, ShieldConfig, ShieldedEnv, Tier
-from shield.certificate.road.memory import Instant, Memory, observe
+from shield.certificate.road.memory import Memory, ObservedScene, observe
 from shield.certificate.road.verify import ROUNDING
-from shield.pipelines.decide import Core
-from shield.pipelines.inputs import Inputs
+from shield.pipelines.decide import DecisionCore
+from shield.pipelines.inputs import InputPipeline
 
 __all__ = ["Audit", "Lost", "Tally", "audited", "drive", "make"]
 
@@ -73,7 +73,7 @@ class Tally:
         self.rules += other.rules
 
 
-def left_of(now: Instant, inputs: Inputs | None) -> tuple[float, str, int]:
+def left_of(now: ObservedScene, inputs: InputPipeline | None) -> tuple[float, str, int]:
     """What is left of the stored plan in a scene: its margin [m], the clause that binds and the vehicle."""
     if inputs is None:
         kept = now.fail_safe(lawful=True)
@@ -93,7 +93,7 @@ class Audit:
     config : the shield's settings.
     """
 
-    def __init__(self, core: Core[Any], config: ShieldConfig) -> None:
+    def __init__(self, core: DecisionCore[Any], config: ShieldConfig) -> None:
         self.tally = Tally()
         self._core, self._config, self._decide = core, config, core.decide
         self._good, self._last = False, Tier.OFF
@@ -101,7 +101,8 @@ class Audit:
         core.decide = self.decide  # type: ignore[method-assign]
 
     def decide(self, scene: Any, proposal: Any, procedure: Any = None) -> Decision:
-        """As `Core.decide`; a new frame is judged before, and a frame after the decision that it begins with."""
+        """As `DecisionCore.decide`; a new frame is judged before, and a frame after the decision that it begins
+        with."""
         again = isinstance(scene, Scene) and scene.frame == self._core.memory.frame
         if isinstance(scene, Scene) and not again:
             self._judge(scene)
@@ -120,7 +121,7 @@ class Audit:
     def _judge(self, scene: Scene) -> None:
         memory: Memory[Any] = self._core.memory
         procedure = self._core.procedure
-        inputs = procedure if isinstance(procedure, Inputs) else None
+        inputs = procedure if isinstance(procedure, InputPipeline) else None
         frames = inputs.execution.frames if inputs is not None else 1
         self.tally.frames += 1
         if memory.survey is None or memory.stored is None:

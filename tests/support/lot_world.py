@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dynamics.scenes.parking_lot import Lot
+from dynamics.scenes.parking_lot import ParkingScene
 from dynamics.scenes.rectangles import gaps
 from dynamics.vehicle.bicycle import step
 
@@ -21,7 +21,7 @@ WALLS = [
 ]
 
 
-def random_lot(rng: np.random.Generator, obstacles: int = 8, speed: float = 8.0) -> Lot:
+def random_lot(rng: np.random.Generator, obstacles: int = 8, speed: float = 8.0) -> ParkingScene:
     """Walls as in parking-v0 and parked cars anywhere, at any angle; some of them may be on top of the ego."""
     cars = np.empty((obstacles, 6))
     cars[:, 0], cars[:, 1] = rng.uniform(-30, 30, obstacles), rng.uniform(-18, 18, obstacles)
@@ -29,17 +29,17 @@ def random_lot(rng: np.random.Generator, obstacles: int = 8, speed: float = 8.0)
     cars[:, 4], cars[:, 5] = rng.uniform(1, 6, obstacles), rng.uniform(1, 3, obstacles)
     x, y = rng.uniform(-25, 25), rng.uniform(-14, 14)
     ego = np.array([x, y, rng.uniform(-np.pi, np.pi), rng.uniform(-speed, speed), 5.0, 2.0])
-    return Lot(ego, np.vstack([WALLS, cars]), DT)
+    return ParkingScene(ego, np.vstack([WALLS, cars]), DT)
 
 
-def advance(lot: Lot, inputs: np.ndarray) -> Lot:
+def advance(lot: ParkingScene, inputs: np.ndarray) -> ParkingScene:
     """The lot a frame later."""
     ego = lot.ego.copy()
     ego[:4] = step(ego[:4], float(inputs[0]), float(inputs[1]), lot.dt)
     return replace(lot, ego=ego)
 
 
-def clearance_of(lot: Lot) -> tuple[float, float]:
+def clearance_of(lot: ParkingScene) -> tuple[float, float]:
     """Least gap and least coming gap of the ego now [m]."""
     now, coming = gaps(lot.ego[:4], tuple(lot.ego[4:]), lot.boxes, lot.dt)
     return float(now.min()), float(coming.min())
@@ -54,7 +54,7 @@ class Driver:
         self.rng, self.style = rng, style
         self.bias = rng.uniform(-1, 1, 2)
 
-    def act(self, lot: Lot, k: int) -> np.ndarray:
+    def act(self, lot: ParkingScene, k: int) -> np.ndarray:
         if self.style == "noise":
             action = self.rng.uniform(-1, 1, 2)
         elif self.style == "throttle":

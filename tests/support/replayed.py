@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from evaluation.replay.collect import Asked
+from evaluation.replay.collect import ReplayRequest
 from evaluation.running.driver import Driver, DriverSpec
 from evaluation.running.records import config_on, variant_for
 from evaluation.settings import get_setting
@@ -28,7 +28,7 @@ class Records:
 def asked_for(setting, policy, seed, **changes):
     """An episode of a named setting, with the shield that it is given by itself."""
     where = get_setting(setting).override(changes) if changes else get_setting(setting)
-    return Asked(where, policy, variant_for(config_on(where), where), seed)
+    return ReplayRequest(where, policy, variant_for(config_on(where), where), seed)
 
 
 def records_of(asked):

@@ -18,9 +18,9 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from dynamics.road_networks.simulation.live import load_ego
 from dynamics.state import FloatArray
-from dynamics.traffic.rules_of_the_road import Ego, gap_between
+from dynamics.traffic.rules_of_the_road import EgoFootprint, gap_between
 from shield import ShieldedEnv
-from shield.certificate.network.monitor import Breach
+from shield.certificate.network.monitor import NetworkRule
 
 __all__ = ["RoadRider", "Tally", "ride_roads"]
 
@@ -100,7 +100,7 @@ class _Stage:
         return [body for body in self.road.vehicles if isinstance(body, RoadRider) and not body.crashed]
 
     def _count(self) -> int:
-        return int(self.door.violations) - int(self.door.by_rule.get(Breach.UNFORESEEN, 0))
+        return int(self.door.violations) - int(self.door.by_rule.get(NetworkRule.UNFORESEEN, 0))
 
     def settle(self) -> None:
         """The monitor has looked at the present frame: count what was touched in it."""
@@ -128,7 +128,7 @@ class _Stage:
         ego, touched, nearest = self.base.vehicle, 0, np.inf
         buffer = self.door.config.buffer
         half, wide = 0.5 * ego.LENGTH, 0.5 * ego.WIDTH
-        it = Ego(*ego.position.tolist(), ego.heading, ego.speed, half, wide, half, wide, False)
+        it = EgoFootprint(*ego.position.tolist(), ego.heading, ego.speed, half, wide, half, wide, False)
         for body in self.road.vehicles:
             if body is ego:
                 continue
@@ -187,7 +187,7 @@ class _Stage:
             culprits=set(last.culprits),
         )
         watch.next(seen, set(door._then), margins, door._road, late)
-        broken = {body for body, rules in watch.breaking.items() if rules - {Breach.UNFORESEEN}}
+        broken = {body for body, rules in watch.breaking.items() if rules - {NetworkRule.UNFORESEEN}}
         for i, rider in enumerate(riders):
             out[i] = rider in broken or any(
                 rider is not other and any(rider._is_colliding(other, self.dt)[:2])
@@ -318,5 +318,5 @@ def ride_roads(env_id: str, seed: int, frequency: int = 15) -> Tally:
             break
     env.door.look()
     stage.settle()
-    stage.tally.unforeseen = int(env.door.by_rule.get(Breach.UNFORESEEN, 0))
+    stage.tally.unforeseen = int(env.door.by_rule.get(NetworkRule.UNFORESEEN, 0))
     return stage.tally

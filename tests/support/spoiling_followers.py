@@ -14,7 +14,7 @@ from induction import left_of
 from dynamics.state import FloatArray
 from shield import ShieldedEnv
 from shield.certificate.road.memory import observe
-from shield.pipelines.inputs import Inputs
+from shield.pipelines.inputs import InputPipeline
 
 __all__ = ["spoil"]
 
@@ -48,7 +48,7 @@ class _Spoiler(Stage):
     def _try(self) -> None:
         self._act()
         core, follower = self._env.core, self._riders[0]
-        inputs = core.procedure if isinstance(core.procedure, Inputs) else None
+        inputs = core.procedure if isinstance(core.procedure, InputPipeline) else None
         scene = core.memory.survey.scene
         moves = list(product(_ACCELERATIONS, _HEADINGS, _ASIDE))
         tried = [follower.planned, *(np.array(moves[i]) for i in self.rng.permutation(len(moves))[:_TRIED])]

@@ -12,13 +12,13 @@ from dynamics.errors import ConfigError, DataError
 from dynamics.learned.data.transitions import Transitions
 from dynamics.state import FloatArray
 
-__all__ = ["RESET_SEEDS", "Predicts", "RandomPolicy", "collect"]
+__all__ = ["RESET_SEEDS", "PredictingPolicy", "RepeatedRandomPolicy", "collect"]
 
 RESET_SEEDS = 10_000
 """Bound on the seeds of resets; evaluation uses other seeds."""
 
 
-class Predicts(Protocol):
+class PredictingPolicy(Protocol):
     """A policy as in Stable-Baselines3."""
 
     def predict(
@@ -28,7 +28,7 @@ class Predicts(Protocol):
         ...
 
 
-class RandomPolicy:
+class RepeatedRandomPolicy:
     """Uniform actions from a separate generator, each repeated for a random number of decisions.
 
     Parameters
@@ -66,7 +66,7 @@ class RandomPolicy:
 
 def collect(
     env: Any,
-    policy: Predicts | None = None,
+    policy: PredictingPolicy | None = None,
     transitions: int = 1000,
     seed: int = 0,
     *,
@@ -104,7 +104,7 @@ def collect(
     space = env.action_space
     encode = _encoder(space)
     generator = np.random.default_rng(seed)
-    driver = RandomPolicy(space, generator, hold) if policy is None else policy
+    driver = RepeatedRandomPolicy(space, generator, hold) if policy is None else policy
     rows: list[tuple[FloatArray, FloatArray, FloatArray, int]] = []
     episode = fruitless = 0
     while len(rows) < transitions:

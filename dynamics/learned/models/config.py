@@ -9,9 +9,9 @@ from typing import Any, Literal, get_args
 from dynamics.errors import ConfigError
 from dynamics.learned.models.body_frame import Layout
 
-__all__ = ["ACTIVATIONS", "Form", "ModelConfig"]
+__all__ = ["ACTIVATIONS", "ModelConfig", "ModelForm"]
 
-Form = Literal["plain", "body"]
+ModelForm = Literal["plain", "body"]
 
 ACTIVATIONS = ("relu", "silu", "tanh")
 """Functions of `torch.nn.functional` between the layers."""
@@ -45,7 +45,7 @@ class ModelConfig:
     state_dim: int = 6
     action_dim: int = 2
     dt: float = 0.2
-    form: Form = "body"
+    form: ModelForm = "body"
     hide_position: bool = True
     hidden: tuple[int, ...] = (32, 32)
     shared: bool = True
@@ -57,8 +57,8 @@ class ModelConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.form not in get_args(Form):
-            raise ConfigError(f"form must be one of {get_args(Form)}, got {self.form!r}")
+        if self.form not in get_args(ModelForm):
+            raise ConfigError(f"form must be one of {get_args(ModelForm)}, got {self.form!r}")
         if self.activation not in ACTIVATIONS:
             raise ConfigError(f"activation must be one of {tuple(ACTIVATIONS)}, got {self.activation!r}")
         sizes = {"state_dim": self.state_dim, "action_dim": self.action_dim, "members": self.members}

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from dynamics.errors import ConfigError
-from dynamics.learned.data.collect import Predicts, collect
+from dynamics.learned.data.collect import PredictingPolicy, collect
 from dynamics.learned.data.transitions import Transitions
 from dynamics.learned.models.linear import LinearStructuredModel, ModelConfig
 from dynamics.learned.training.fit import Fit, FitConfig, fit
@@ -71,7 +71,7 @@ def rounds(
     env: Any,
     state: Callable[[Any], FloatArray],
     model: ModelConfig,
-    policy_of: Callable[[LinearStructuredModel, Transitions], Predicts] | None,
+    policy_of: Callable[[LinearStructuredModel, Transitions], PredictingPolicy] | None,
     config: RoundsConfig | None = None,
     fit_config: FitConfig | None = None,
     *,

@@ -13,11 +13,11 @@ from dynamics.learned.tasks.parking_state import SCALES
 from dynamics.learned.training.fit import FitConfig
 from dynamics.learned.training.on_policy_rounds import RoundsConfig
 
-__all__ = ["DEFAULT", "VARIANTS", "Variant", "variant"]
+__all__ = ["DEFAULT", "VARIANTS", "LearningVariant", "variant"]
 
 
 @dataclass(frozen=True, slots=True)
-class Variant:
+class LearningVariant:
     """A model, its training, and its data.
 
     Attributes
@@ -31,10 +31,10 @@ class Variant:
     fit: FitConfig = field(default_factory=FitConfig)
     data: RoundsConfig = field(default_factory=lambda: RoundsConfig(rounds=0))
 
-    def seeded(self, seed: int) -> Variant:
+    def seeded(self, seed: int) -> LearningVariant:
         """The variant with all its seeds set to one seed."""
         parts = (replace(part, seed=seed) for part in (self.model, self.fit, self.data))
-        return Variant(self.what, *parts)  # type: ignore[arg-type]
+        return LearningVariant(self.what, *parts)  # type: ignore[arg-type]
 
 
 _NOTEBOOK = ModelConfig(
@@ -56,32 +56,32 @@ _SINGLE = ModelConfig(members=1)
 DEFAULT = "rounds"
 """Name of the default variant."""
 
-VARIANTS: Mapping[str, Variant] = MappingProxyType(
+VARIANTS: Mapping[str, LearningVariant] = MappingProxyType(
     {
-        "notebook": Variant(
+        "notebook": LearningVariant(
             "A multiplies the absolute position; 2,000 transitions",
             _NOTEBOOK,
             _NOTEBOOK_FIT,
             RoundsConfig(transitions=2000, rounds=0, episode_steps=None, hold=2),
         ),
-        "plain": Variant(
+        "plain": LearningVariant(
             "the same formula, normalised, two layers, minibatches; 1,000 transitions",
             replace(_SINGLE, form="plain", hide_position=False),
             _ONE_STEP,
         ),
-        "masked": Variant("A ignores the position too", replace(_SINGLE, form="plain"), _ONE_STEP),
-        "body": Variant("in the body frame", _SINGLE, _ONE_STEP),
-        "multi-step": Variant("30 of the 330 epochs with the 5-step loss", _SINGLE),
-        "ensemble": Variant("three members"),
-        "more": Variant("1,800 random transitions", data=RoundsConfig(transitions=1800, rounds=0)),
-        "round": Variant("1,000 random and 400 on-policy", data=RoundsConfig(rounds=1)),
-        "rounds": Variant("1,000 random and twice 400 on-policy (the default)", data=RoundsConfig()),
+        "masked": LearningVariant("A ignores the position too", replace(_SINGLE, form="plain"), _ONE_STEP),
+        "body": LearningVariant("in the body frame", _SINGLE, _ONE_STEP),
+        "multi-step": LearningVariant("30 of the 330 epochs with the 5-step loss", _SINGLE),
+        "ensemble": LearningVariant("three members"),
+        "more": LearningVariant("1,800 random transitions", data=RoundsConfig(transitions=1800, rounds=0)),
+        "round": LearningVariant("1,000 random and 400 on-policy", data=RoundsConfig(rounds=1)),
+        "rounds": LearningVariant("1,000 random and twice 400 on-policy (the default)", data=RoundsConfig()),
     }
 )
 """Variants by name; each changes one thing of an earlier one."""
 
 
-def variant(name: str) -> Variant:
+def variant(name: str) -> LearningVariant:
     """A variant by name.
 
     Raises

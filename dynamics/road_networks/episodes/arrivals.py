@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import dot2
 from dynamics.highway_simulator.layout import (
     EGO,
@@ -21,14 +21,14 @@ from dynamics.highway_simulator.layout import (
     X,
     Y,
 )
-from dynamics.highway_simulator.random import Row, below, uniform
+from dynamics.highway_simulator.random import GeneratorRow, below, uniform
 from dynamics.highway_simulator.scene import randomize, speed_index
 from dynamics.highway_simulator.step_kernels import Machine
 from dynamics.road_networks.episodes.draws import normal, two_of
-from dynamics.road_networks.episodes.placing import Scene, plan, put
+from dynamics.road_networks.episodes.placing import ResetTables, place_vehicle, set_route
 from dynamics.road_networks.geometry.lanes import heading_at, place
 from dynamics.road_networks.geometry.layout import ALONG, FRAMES, LEAVES, ROUTE_END, F, G
-from dynamics.road_networks.geometry.routes import Traffic
+from dynamics.road_networks.geometry.routes import NetworkTraffic
 from dynamics.road_networks.simulation.frame_kernels import (
     NetworkRules,
     NetworkWork,
@@ -38,7 +38,7 @@ from dynamics.road_networks.simulation.frame_kernels import (
 )
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["Coming", "leave_and_come", "populate"]
+__all__ = ["ArrivalRules", "clear_and_spawn", "spawn_intersection"]
 
 _ARMS = 4
 _FIRST, _FAST, _ROOM, _EGO_ROOM = 5.0, 8.0, 15.0, 20.0
@@ -49,7 +49,7 @@ _SECONDS = 3
 _EGO_PLACE, _CHALLENGER_PLACE = 60.0, 60.0
 
 
-class Coming(NamedTuple):
+class ArrivalRules(NamedTuple):
     """New vehicles of an intersection.
 
     Attributes
@@ -67,12 +67,12 @@ class Coming(NamedTuple):
     goal: int
 
 
-@uncounted
-def _come(
-    row: Row,
-    scene: Scene,
-    coming: Coming,
-    traffic: Traffic,
+@kernel_no_refcount
+def _spawn_new(
+    row: GeneratorRow,
+    scene: ResetTables,
+    coming: ArrivalRules,
+    traffic: NetworkTraffic,
     i: int,
     along: float,
     spreads: tuple[float, float],
@@ -98,14 +98,14 @@ def _come(
         dx, dy = f[X, v] - x, f[Y, v] - y
         if math.sqrt(dot2(lanes.sums, dx, dx, dy, dy)) < _ROOM:
             return i
-    put(scene, traffic, i, False, x, y, heading_at(lanes, coming.arms[start], s), speed)
-    plan(scene, traffic, i, goal)
+    place_vehicle(scene, traffic, i, False, x, y, heading_at(lanes, coming.arms[start], s), speed)
+    set_route(scene, traffic, i, goal)
     randomize(row, scene.kind, scene.ranges, traffic.p, i)
     return i + 1
 
 
-@uncounted
-def _move_column(traffic: Traffic, source: int, goal: int) -> None:
+@kernel_no_refcount
+def _move_column(traffic: NetworkTraffic, source: int, goal: int) -> None:
     """Copy a vehicle to another column."""
     f, g, p, routes = traffic.f, traffic.g, traffic.p, traffic.routes
     frames = g[FRAMES, 0]
@@ -120,7 +120,7 @@ def _move_column(traffic: Traffic, source: int, goal: int) -> None:
     g[FRAMES, 0] = frames
 
 
-@uncounted
+@kernel_no_refcount
 def _count(worlds: NetworkWorlds, e: int, n: int) -> None:
     """Store the number of vehicles. There are no obstacles on an intersection."""
     worlds.counts[e, 0] = worlds.counts[e, 1] = n
@@ -128,8 +128,8 @@ def _count(worlds: NetworkWorlds, e: int, n: int) -> None:
         worlds.order[e, i] = i
 
 
-@uncounted
-def _keep(worlds: NetworkWorlds, traffic: Traffic, e: int, gone: IntArray) -> None:
+@kernel_no_refcount
+def _remove_marked(worlds: NetworkWorlds, traffic: NetworkTraffic, e: int, gone: IntArray) -> None:
     """Remove the vehicles that are marked in `gone`."""
     n = 0
     for i in range(worlds.counts[e, 0]):
@@ -140,8 +140,8 @@ def _keep(worlds: NetworkWorlds, traffic: Traffic, e: int, gone: IntArray) -> No
     _count(worlds, e, n)
 
 
-@uncounted
-def _enter(row: Row, scene: Scene, coming: Coming, traffic: Traffic, i: int) -> None:
+@kernel_no_refcount
+def _spawn_ego(row: GeneratorRow, scene: ResetTables, coming: ArrivalRules, traffic: NetworkTraffic, i: int) -> None:
     """Place the ego into column `i`."""
     lanes, f = traffic.lanes, traffic.f
     lane, goal = coming.arms[0], coming.goal
@@ -149,21 +149,21 @@ def _enter(row: Row, scene: Scene, coming: Coming, traffic: Traffic, i: int) -> 
         goal = 1 + below(row, _ARMS - 1)
     x, y = place(lanes, lane, _EGO_PLACE + 5.0 * (1.0 + normal(row)))
     limit = lanes.rows[lane, LANE_LIMIT]
-    put(scene, traffic, i, True, x, y, heading_at(lanes, lane, _EGO_PLACE), limit)
+    place_vehicle(scene, traffic, i, True, x, y, heading_at(lanes, lane, _EGO_PLACE), limit)
     if traffic.g[KIND, i] == EGO:
-        plan(scene, traffic, i, goal)
+        set_route(scene, traffic, i, goal)
         f[TARGET_SPEED, i] = scene.target_speeds[speed_index(scene.target_speeds, limit)]
 
 
-@uncounted
-def populate(
+@kernel_no_refcount
+def spawn_intersection(
     machine: Machine,
     worlds: NetworkWorlds,
     rules: NetworkRules,
-    scene: Scene,
-    coming: Coming,
+    scene: ResetTables,
+    coming: ArrivalRules,
     work: NetworkWork,
-    row: Row,
+    row: GeneratorRow,
     e: int,
 ) -> None:
     """Draw the scene of a reset: traffic, which drives for some seconds; a vehicle that crosses the ego's way; and the
@@ -173,15 +173,15 @@ def populate(
     for k in range(len(coming.places)):
         frames = worlds.g[e, FRAMES, 0]
         traffic = traffic_of(machine, worlds, rules.network, e)
-        n = _come(row, scene, coming, traffic, n, coming.places[k], (1.0, 1.0), 0.6, False)
+        n = _spawn_new(row, scene, coming, traffic, n, coming.places[k], (1.0, 1.0), 0.6, False)
         worlds.g[e, FRAMES, 0] = frames
     _count(worlds, e, n)
     for _ in range(_SECONDS * coming.frames):
         advance(machine, worlds, rules, work, e)
     frames = worlds.g[e, FRAMES, 0]
     traffic = traffic_of(machine, worlds, rules.network, e)
-    n = _come(row, scene, coming, traffic, n, _CHALLENGER_PLACE, (0.1, 0.0), 1.0, True)
-    _enter(row, scene, coming, traffic, n)
+    n = _spawn_new(row, scene, coming, traffic, n, _CHALLENGER_PLACE, (0.1, 0.0), 1.0, True)
+    _spawn_ego(row, scene, coming, traffic, n)
     worlds.g[e, FRAMES, 0] = frames
     _count(worlds, e, n + 1)
     f = worlds.f[e]
@@ -189,18 +189,18 @@ def populate(
         dx, dy = f[X, i] - f[X, n], f[Y, i] - f[Y, n]
         near = math.sqrt(dot2(machine.sums, dx, dx, dy, dy)) < _EGO_ROOM
         busy[i] = 1 if i < n and near else 0
-    _keep(worlds, traffic, e, busy)
+    _remove_marked(worlds, traffic, e, busy)
 
 
-@uncounted
-def leave_and_come(
+@kernel_no_refcount
+def clear_and_spawn(
     machine: Machine,
     worlds: NetworkWorlds,
     rules: NetworkRules,
-    scene: Scene,
-    coming: Coming,
+    scene: ResetTables,
+    coming: ArrivalRules,
     work: NetworkWork,
-    row: Row,
+    row: GeneratorRow,
     e: int,
 ) -> bool:
     """Changes between two decisions: vehicles near the end of a lane that leaves the road, or without a route, vanish.
@@ -217,9 +217,9 @@ def leave_and_come(
         leaves = leaves and worlds.f[e, ALONG, i] >= lanes[lane, LANE_LENGTH] - 4 * p[LENGTH, i]
         busy[i] = 1 if g[KIND, i] in (IDM, LINEAR) and (leaves or g[ROUTE_END, i] < 0) else 0
     traffic = traffic_of(machine, worlds, rules.network, e)
-    _keep(worlds, traffic, e, busy)
+    _remove_marked(worlds, traffic, e, busy)
     n = worlds.counts[e, 0]
     if n == g.shape[1]:
         return False
-    _count(worlds, e, _come(row, scene, coming, traffic, n, 0.0, (1.0, 1.0), coming.odds, False))
+    _count(worlds, e, _spawn_new(row, scene, coming, traffic, n, 0.0, (1.0, 1.0), coming.odds, False))
     return True

@@ -15,8 +15,8 @@ from numba.np.random._constants import (
     ziggurat_nor_r,
 )
 
-from dynamics.compiled import inlined, uncounted
-from dynamics.highway_simulator.random import Row, below, next_64, uniform
+from dynamics.compiled import kernel_inline, kernel_no_refcount
+from dynamics.highway_simulator.random import GeneratorRow, below, next_64, uniform
 
 __all__ = ["normal", "two_of"]
 
@@ -24,14 +24,14 @@ _EDGES, _WIDTHS, _HEIGHTS = ki_double, wi_double, fi_double
 _FAR, _OVER_FAR = float(ziggurat_nor_r), float(ziggurat_nor_inv_r)
 
 
-@inlined
-def _share(row: Row) -> float:
+@kernel_inline
+def _share(row: GeneratorRow) -> float:
     """A number from 0 to 1."""
     return uniform(row, 0.0, 1.0)
 
 
-@uncounted
-def normal(row: Row) -> float:
+@kernel_no_refcount
+def normal(row: GeneratorRow) -> float:
     """`Generator.normal()`."""
     while True:
         word = next_64(row)
@@ -52,8 +52,8 @@ def normal(row: Row) -> float:
             return x
 
 
-@inlined
-def two_of(row: Row, n: int) -> tuple[int, int]:
+@kernel_inline
+def two_of(row: GeneratorRow, n: int) -> tuple[int, int]:
     """`Generator.choice(n, size=2, replace=False)`: Floyd's algorithm, and a shuffle."""
     one = below(row, n - 1)
     two = below(row, n)

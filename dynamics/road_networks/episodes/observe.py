@@ -8,16 +8,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import clip, dot2, wrap_to_pi
 from dynamics.highway_simulator.layout import COS, HEADING, KIND, LANE, LANE_LENGTH, LENGTH, OBSTACLE, SIN, SPEED, X, Y
-from dynamics.highway_simulator.random import Row, interval
+from dynamics.highway_simulator.random import GeneratorRow, interval
 from dynamics.road_networks.geometry.lanes import heading_at, local, place
 from dynamics.road_networks.geometry.layout import ACROSS, ALONG, ROUTE, ROUTE_END
-from dynamics.road_networks.geometry.routes import Traffic, on_lane_of
+from dynamics.road_networks.geometry.routes import NetworkTraffic, on_lane_of
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["AHEAD", "EXIT", "KINEMATICS", "View", "kinematics"]
+__all__ = ["AHEAD", "EXIT", "KINEMATICS", "RoadObservationConfig", "kinematics"]
 
 KINEMATICS, EXIT, AHEAD = range(3)
 """Kinds of observation; AHEAD is `TimeToCollision` (see `time_to_collision`)."""
@@ -29,7 +29,7 @@ _TO_GOAL = 8
 """Index of the first of the two features with the direction to the end of the route."""
 
 
-class View(NamedTuple):
+class RoadObservationConfig(NamedTuple):
     """The configuration of an observation.
 
     Attributes
@@ -52,9 +52,9 @@ class View(NamedTuple):
     step: float
 
 
-@uncounted
+@kernel_no_refcount
 def _near(
-    traffic: Traffic,
+    traffic: NetworkTraffic,
     ego: int,
     most: int,
     switches: tuple[bool, bool, bool, bool, bool, bool, bool, bool],
@@ -65,7 +65,7 @@ def _near(
 
     Parameters
     ----------
-    switches : as of `View`.
+    switches : as of `RoadObservationConfig`.
     near, away : (m,), written: the bodies, and the distance of each along the lane [m].
 
     Returns
@@ -96,8 +96,8 @@ def _near(
     return n
 
 
-@uncounted
-def _to_goal(traffic: Traffic, i: int) -> tuple[float, float]:
+@kernel_no_refcount
+def _to_goal(traffic: NetworkTraffic, i: int) -> tuple[float, float]:
     """Unit vector from a vehicle to the end of its route; zero without a route."""
     lanes, f, g, routes = traffic.lanes, traffic.f, traffic.g, traffic.routes
     if g[KIND, i] == OBSTACLE or not g[ROUTE, i] < g[ROUTE_END, i]:
@@ -112,8 +112,8 @@ def _to_goal(traffic: Traffic, i: int) -> tuple[float, float]:
     return dx / away, dy / away
 
 
-@uncounted
-def _feature(traffic: Traffic, i: int, feature: int) -> float:
+@kernel_no_refcount
+def _feature(traffic: NetworkTraffic, i: int, feature: int) -> float:
     """A feature of a body, by its index in `FEATURES`."""
     f, g = traffic.f, traffic.g
     standing = g[KIND, i] == OBSTACLE
@@ -146,8 +146,8 @@ def _feature(traffic: Traffic, i: int, feature: int) -> float:
     return wrap_to_pi(f[HEADING, i] - heading_at(traffic.lanes, g[LANE, i], f[ALONG, i]))
 
 
-@inlined
-def _value(traffic: Traffic, view: View, ego: int, i: int, feature: int) -> float:
+@kernel_inline
+def _value(traffic: NetworkTraffic, view: RoadObservationConfig, ego: int, i: int, feature: int) -> float:
     """A feature of a body as observed by the ego."""
     absolute, goals = view.switches[0], view.switches[7]
     if i == ego:
@@ -162,11 +162,11 @@ def _value(traffic: Traffic, view: View, ego: int, i: int, feature: int) -> floa
     return value
 
 
-@uncounted
+@kernel_no_refcount
 def kinematics(
-    row: Row,
-    traffic: Traffic,
-    view: View,
+    row: GeneratorRow,
+    traffic: NetworkTraffic,
+    view: RoadObservationConfig,
     ego: int,
     near: IntArray,
     away: FloatArray,

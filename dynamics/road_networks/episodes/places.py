@@ -17,16 +17,16 @@ from highway_env.envs.u_turn_env import UTurnEnv
 from dynamics.road_networks.episodes.tables import AT, INTEGERS, NORMAL, NUMBERS, QUEUE, SCATTERED, STEADY, UNIFORM
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["Places", "places_of"]
+__all__ = ["PlacementTables", "placement_tables"]
 
-Lane = tuple[str, str, int]
+LaneKey = tuple[str, str, int]
 _NAN = math.nan
 _DEPARTURES = ("we", "sx"), ("sx", "se"), ("ee", "nx"), ("nx", "ne"), ("eer", "ees"), ("ner", "nes"), ("wer", "wes")
 """The roads of roundabout-generic on which traffic is placed."""
 
 
 @dataclass(frozen=True)
-class Places:
+class PlacementTables:
     """The tables of `placing.Scene` that differ between environments.
 
     Attributes
@@ -79,23 +79,23 @@ def _row(
     return numbers, [*whose, int(varies), int(changes), bound_for]
 
 
-def _merge(base: Any, numbers: Mapping[Lane, int]) -> Places:
+def _merge(base: Any, numbers: Mapping[LaneKey, int]) -> PlacementTables:
     """Vehicles of `MergeEnv`."""
     first = numbers["a", "b", 0]
     rows = [_row(numbers["a", "b", 1], 30.0, 30.0, ego=True, headed=False)]
     for place, speed in ((90.0, 29.0), (70.0, 31.0), (5.0, 31.5)):
         rows.append(_row(first, place, speed, lanes=2, drawn=UNIFORM, spreads=(5.0, 1.0), headed=False))
-    return Places([*rows, _row(numbers["j", "k", 0], 110.0, 20.0, headed=False, wanted=30.0)])
+    return PlacementTables([*rows, _row(numbers["j", "k", 0], 110.0, 20.0, headed=False, wanted=30.0)])
 
 
-def _merge_generic(base: Any, numbers: Mapping[Lane, int]) -> Places:
+def _merge_generic(base: Any, numbers: Mapping[LaneKey, int]) -> PlacementTables:
     """Vehicles of `MergeGenericEnv`."""
     config = base.config
     count = int(config["lanes_count"])
     lanes = [numbers["a", "b", k] for k in range(count)]
     length = config["before_merge_length"] + config["converge_merge_length"] + config["parallel_merge_length"]
     scattered: dict[str, Any] = {"law": SCATTERED, "many": max(0, int(config["vehicles_count"])), "tries": 10}
-    return Places(
+    return PlacementTables(
         [
             _row(lanes[-1], 30.0, 30.0, ego=True, headed=False),
             _row(lanes[0], 0.0, 30.0, drawn=UNIFORM, spreads=(0.0, 2.0), headed=False, **scattered),
@@ -108,13 +108,13 @@ def _merge_generic(base: Any, numbers: Mapping[Lane, int]) -> Places:
     )
 
 
-def _roundabout(base: Any, numbers: Mapping[Lane, int]) -> Places:
+def _roundabout(base: Any, numbers: Mapping[LaneKey, int]) -> PlacementTables:
     """Vehicles of `RoundaboutEnv`."""
     goals = ("exr", "sxr", "nxr", "nxs")
     asked, anywhere = base.config["incoming_vehicle_destination"], (0, 3)
     fixed = anywhere if asked is None else (range(3)[asked], 1)
     drawn: dict[str, Any] = {"drawn": NORMAL, "spreads": (2.0, 2.0), "varies": True}
-    return Places(
+    return PlacementTables(
         [
             _row(numbers["ser", "ses", 0], 125.0, 8.0, ego=True, facing=140.0, goals=(3, 1)),
             _row(numbers["we", "sx", 1], 5.0, 16.0, goals=fixed, **drawn),
@@ -126,7 +126,7 @@ def _roundabout(base: Any, numbers: Mapping[Lane, int]) -> Places:
     )
 
 
-def _roundabout_generic(base: Any, numbers: Mapping[Lane, int]) -> Places:
+def _roundabout_generic(base: Any, numbers: Mapping[LaneKey, int]) -> PlacementTables:
     """Vehicles of `RoundaboutGenericEnv`."""
     config, graph = base.config, base.road.network.graph
     goals = ("exr", "sxr", "nxr", "wxr", "nxs")
@@ -137,7 +137,7 @@ def _roundabout_generic(base: Any, numbers: Mapping[Lane, int]) -> Places:
     lengths = {numbers[a, b, k]: lane.length for a, b in _DEPARTURES for k, lane in enumerate(graph[a][b])}
     drawn: dict[str, Any] = {"drawn": NORMAL, "spreads": (0.0, 2.0), "varies": True}
     scattered: dict[str, Any] = {"law": SCATTERED, "many": max(0, int(config["vehicles_count"])), "tries": 10}
-    return Places(
+    return PlacementTables(
         [
             _row(numbers["ser", "ses", 0], own, 8.0, ego=True, goals=(4, 1)),
             _row(0, 0.0, 14.0, goals=aims, **drawn, **scattered),
@@ -149,7 +149,7 @@ def _roundabout_generic(base: Any, numbers: Mapping[Lane, int]) -> Places:
     )
 
 
-def _exit(base: Any, numbers: Mapping[Lane, int]) -> Places:
+def _exit(base: Any, numbers: Mapping[LaneKey, int]) -> PlacementTables:
     """Vehicles of `ExitEnv`."""
     config = base.config
     count, first = int(config["lanes_count"]), numbers["0", "1", 0]
@@ -158,7 +158,7 @@ def _exit(base: Any, numbers: Mapping[Lane, int]) -> Places:
     odds /= odds[-1]
     spacing, many = 1 / config["vehicles_density"], max(0, int(config["vehicles_count"]))
     queued: dict[str, Any] = {"lanes": count, "goals": (0, 1), "changes": False}
-    return Places(
+    return PlacementTables(
         [
             _row(first, float(config["ego_spacing"]), 25.0, ego=True, law=QUEUE),
             _row(first, spacing, _NAN, law=QUEUE, many=many, **queued),
@@ -169,17 +169,17 @@ def _exit(base: Any, numbers: Mapping[Lane, int]) -> Places:
     )
 
 
-def _two_way(base: Any, numbers: Mapping[Lane, int]) -> Places:
+def _two_way(base: Any, numbers: Mapping[LaneKey, int]) -> PlacementTables:
     """Vehicles of `TwoWayEnv`."""
     own, oncoming = numbers["a", "b", 1], numbers["b", "a", 0]
     drawn: dict[str, Any] = {"drawn": NORMAL, "changes": False}
     rows = [_row(own, 30.0, 30.0, ego=True, headed=False)]
     rows += [_row(own, 70.0 + 40.0 * k, 24.0, spreads=(10.0, 2.0), **drawn) for k in range(3)]
     far = {"spreads": (10.0, 5.0), "bound_for": oncoming, **drawn}
-    return Places(rows + [_row(oncoming, 200.0 + 100.0 * k, 20.0, **far) for k in range(2)])
+    return PlacementTables(rows + [_row(oncoming, 200.0 + 100.0 * k, 20.0, **far) for k in range(2)])
 
 
-def _u_turn(base: Any, numbers: Mapping[Lane, int]) -> Places:
+def _u_turn(base: Any, numbers: Mapping[LaneKey, int]) -> PlacementTables:
     """Vehicles of `UTurnEnv`."""
     there, bend, back = ("a", "b"), ("b", "c"), ("c", "d")
     traffic = [
@@ -193,10 +193,10 @@ def _u_turn(base: Any, numbers: Mapping[Lane, int]) -> Places:
     drawn: dict[str, Any] = {"drawn": NORMAL, "spreads": (2.0, 2.0), "goals": (0, 1)}
     rows = [_row(numbers[*there, 0], 0.0, 16.0, ego=True, headed=False, goals=(0, 1))]
     rows += [_row(numbers[lane], s, speed, varies=k == 0, **drawn) for k, (lane, s, speed) in enumerate(traffic)]
-    return Places(rows, ("d",))
+    return PlacementTables(rows, ("d",))
 
 
-_PLACES: tuple[tuple[type, Callable[[Any, Mapping[Lane, int]], Places]], ...] = (
+_PLACES: tuple[tuple[type, Callable[[Any, Mapping[LaneKey, int]], PlacementTables]], ...] = (
     (MergeGenericEnv, _merge_generic),
     (MergeEnv, _merge),
     (RoundaboutGenericEnv, _roundabout_generic),
@@ -207,7 +207,7 @@ _PLACES: tuple[tuple[type, Callable[[Any, Mapping[Lane, int]], Places]], ...] = 
 )
 
 
-def places_of(base: Any, numbers: Mapping[Lane, int]) -> Places | None:
+def placement_tables(base: Any, numbers: Mapping[LaneKey, int]) -> PlacementTables | None:
     """The tables of an environment, unwrapped and reset; None for an intersection, which has none (see `arrivals`).
 
     Parameters

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import dot2
 from dynamics.highway_simulator.layout import (
     CHANGES,
@@ -31,46 +31,46 @@ from dynamics.highway_simulator.layout import (
     Y,
 )
 from dynamics.highway_simulator.loops import at
-from dynamics.highway_simulator.random import Row, below, uniform
+from dynamics.highway_simulator.random import GeneratorRow, below, uniform
 from dynamics.highway_simulator.scene import randomize, speed_index
 from dynamics.road_networks.episodes.draws import normal
 from dynamics.road_networks.episodes.tables import (
     BOUND_FOR,
+    DESIRED_SPEED,
     DRAWN,
     EGO_ROW,
     FACING,
-    FAST,
-    FAST_SPREAD,
     FIRST_LANE,
     GOAL,
     GOALS,
     HEADED,
     LANES,
-    LAW,
-    MANY,
     MAY_CHANGE,
     NORMAL,
     PLACE,
     PLACE_SPREAD,
+    PLACEMENT,
     QUEUE,
+    ROLE,
     SCATTERED,
+    START_SPEED,
+    START_SPEED_SPREAD,
     TRIES,
     UNIFORM,
     VARIES,
-    WANTED,
-    WHOSE,
+    VEHICLES,
 )
 from dynamics.road_networks.geometry.lanes import closest, heading_at, local, place
 from dynamics.road_networks.geometry.layout import ACROSS, ALONG, DYNAMICAL, ID, ROAD, ROUTE, ROUTE_END, TO, F, G
-from dynamics.road_networks.geometry.routes import Traffic
+from dynamics.road_networks.geometry.routes import NetworkTraffic
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["Scene", "plan", "put", "put_row"]
+__all__ = ["ResetTables", "place_row", "place_vehicle", "set_route"]
 
 _COS, _SIN = 3, 4
 
 
-class Scene(NamedTuple):
+class ResetTables(NamedTuple):
     """The tables of a reset.
 
     Attributes
@@ -108,8 +108,8 @@ class Scene(NamedTuple):
     standing_sizes: FloatArray
 
 
-@inlined
-def _drawn(row: Row, law: int, middle: float, spread: float) -> float:
+@kernel_inline
+def _drawn(row: GeneratorRow, law: int, middle: float, spread: float) -> float:
     """A number drawn from the distribution `law` (STEADY, UNIFORM or NORMAL) around `middle`."""
     if law == UNIFORM:
         return middle + uniform(row, -spread, spread)
@@ -118,8 +118,10 @@ def _drawn(row: Row, law: int, middle: float, spread: float) -> float:
     return middle
 
 
-@uncounted
-def put(scene: Scene, traffic: Traffic, i: int, ego: bool, x: float, y: float, heading: float, speed: float) -> None:
+@kernel_no_refcount
+def place_vehicle(
+    scene: ResetTables, traffic: NetworkTraffic, i: int, ego: bool, x: float, y: float, heading: float, speed: float
+) -> None:
     """Place the ego, or a vehicle of the traffic, into column `i`: on the closest lane, which is also its target lane,
     without a route. Its target speed is its speed."""
     f, g, p, lanes = traffic.f, traffic.g, traffic.p, traffic.lanes
@@ -144,8 +146,8 @@ def put(scene: Scene, traffic: Traffic, i: int, ego: bool, x: float, y: float, h
         f[TARGET_SPEED, i] = scene.target_speeds[speed_index(scene.target_speeds, speed)]
 
 
-@uncounted
-def plan(scene: Scene, traffic: Traffic, i: int, goal: int) -> None:
+@kernel_no_refcount
+def set_route(scene: ResetTables, traffic: NetworkTraffic, i: int, goal: int) -> None:
     """Set the route of a vehicle from its lane to a goal."""
     ids, g, routes = traffic.lanes.ids, traffic.g, traffic.routes
     lane, n = g[LANE, i], 1
@@ -159,38 +161,40 @@ def plan(scene: Scene, traffic: Traffic, i: int, goal: int) -> None:
     g[ROUTE, i], g[ROUTE_END, i] = 0, n
 
 
-@uncounted
-def _settle(row: Row, scene: Scene, traffic: Traffic, i: int, k: int) -> None:
+@kernel_no_refcount
+def _settle(row: GeneratorRow, scene: ResetTables, traffic: NetworkTraffic, i: int, k: int) -> None:
     """Set the route, parameters, target speed and target lane of a vehicle by row k."""
     f, g, choices = traffic.f, traffic.g, scene.choices[k]
-    if choices[GOAL] >= 0 and (choices[WHOSE] != EGO_ROW or g[KIND, i] == EGO):
-        plan(scene, traffic, i, choices[GOAL] + below(row, choices[GOALS]))
+    if choices[GOAL] >= 0 and (choices[ROLE] != EGO_ROW or g[KIND, i] == EGO):
+        set_route(scene, traffic, i, choices[GOAL] + below(row, choices[GOALS]))
     if choices[VARIES]:
         randomize(row, scene.kind, scene.ranges, traffic.p, i)
-    if not math.isnan(scene.rows[k, WANTED]):
-        f[TARGET_SPEED, i] = scene.rows[k, WANTED]
+    if not math.isnan(scene.rows[k, DESIRED_SPEED]):
+        f[TARGET_SPEED, i] = scene.rows[k, DESIRED_SPEED]
     g[CHANGES, i] = choices[MAY_CHANGE]
     if choices[BOUND_FOR] >= 0:
         g[TARGET, i] = choices[BOUND_FOR]
 
 
-@uncounted
-def _at(row: Row, scene: Scene, traffic: Traffic, spots: FloatArray, i: int, k: int) -> None:
+@kernel_no_refcount
+def _at(row: GeneratorRow, scene: ResetTables, traffic: NetworkTraffic, spots: FloatArray, i: int, k: int) -> None:
     """Place a vehicle at the position of row k."""
     numbers, choices, lanes = scene.rows[k], scene.choices[k], traffic.lanes
     lane = choices[FIRST_LANE] + below(row, choices[LANES])
     s = _drawn(row, choices[DRAWN], numbers[PLACE], numbers[PLACE_SPREAD])
-    speed = _drawn(row, choices[DRAWN], numbers[FAST], numbers[FAST_SPREAD])
+    speed = _drawn(row, choices[DRAWN], numbers[START_SPEED], numbers[START_SPEED_SPREAD])
     x, y = place(lanes, lane, s)
     heading = 0.0
     if choices[HEADED]:
         heading = heading_at(lanes, lane, s if math.isnan(numbers[FACING]) else numbers[FACING])
-    put(scene, traffic, i, choices[WHOSE] == EGO_ROW, x, y, heading, speed)
+    place_vehicle(scene, traffic, i, choices[ROLE] == EGO_ROW, x, y, heading, speed)
     spots[0, i], spots[1, i] = lane, s
 
 
-@uncounted
-def _free(scene: Scene, traffic: Traffic, spots: FloatArray, i: int, lane: int, s: float, x: float, y: float) -> bool:
+@kernel_no_refcount
+def _free(
+    scene: ResetTables, traffic: NetworkTraffic, spots: FloatArray, i: int, lane: int, s: float, x: float, y: float
+) -> bool:
     """Whether a position is far enough from those of the first `i` vehicles."""
     f = traffic.f
     for j in range(i):
@@ -204,8 +208,10 @@ def _free(scene: Scene, traffic: Traffic, spots: FloatArray, i: int, lane: int, 
     return True
 
 
-@uncounted
-def _scattered(row: Row, scene: Scene, traffic: Traffic, spots: FloatArray, i: int, k: int) -> bool:
+@kernel_no_refcount
+def _scattered(
+    row: GeneratorRow, scene: ResetTables, traffic: NetworkTraffic, spots: FloatArray, i: int, k: int
+) -> bool:
     """Place a vehicle at a random free position by row k, and return whether one was found."""
     numbers, choices, lanes = scene.rows[k], scene.choices[k], traffic.lanes
     for _ in range(choices[TRIES]):
@@ -215,16 +221,16 @@ def _scattered(row: Row, scene: Scene, traffic: Traffic, spots: FloatArray, i: i
         x, y = place(lanes, lane, s)
         if not _free(scene, traffic, spots, i, lane, s, x, y):
             continue
-        speed = _drawn(row, choices[DRAWN], numbers[FAST], numbers[FAST_SPREAD])
+        speed = _drawn(row, choices[DRAWN], numbers[START_SPEED], numbers[START_SPEED_SPREAD])
         heading = heading_at(lanes, lane, s) if choices[HEADED] else 0.0
-        put(scene, traffic, i, False, x, y, heading, speed)
+        place_vehicle(scene, traffic, i, False, x, y, heading, speed)
         spots[0, i], spots[1, i] = lane, s
         return True
     return False
 
 
-@uncounted
-def _queue(row: Row, scene: Scene, traffic: Traffic, i: int, k: int) -> None:
+@kernel_no_refcount
+def _queue(row: GeneratorRow, scene: ResetTables, traffic: NetworkTraffic, i: int, k: int) -> None:
     """Place a vehicle ahead of all others: highway-env's `create_random` on a road of straight lanes."""
     numbers, choices, lanes, f = scene.rows[k], scene.choices[k], traffic.lanes, traffic.f
     lane = choices[FIRST_LANE]
@@ -233,7 +239,7 @@ def _queue(row: Row, scene: Scene, traffic: Traffic, i: int, k: int) -> None:
         while scene.odds[drawn] <= share:
             drawn += 1
         lane += drawn
-    speed = lanes.rows[lane, LANE_LIMIT] if math.isnan(numbers[FAST]) else numbers[FAST]
+    speed = lanes.rows[lane, LANE_LIMIT] if math.isnan(numbers[START_SPEED]) else numbers[START_SPEED]
     offset = numbers[PLACE] * (12 + 1.0 * speed) * scene.packed
     s = 3 * offset
     for j in range(i):
@@ -241,11 +247,11 @@ def _queue(row: Row, scene: Scene, traffic: Traffic, i: int, k: int) -> None:
         s = along if j == 0 else max(s, along)
     s += offset * uniform(row, 0.9, 1.1)
     x, y = place(lanes, lane, s)
-    put(scene, traffic, i, choices[WHOSE] == EGO_ROW, x, y, heading_at(lanes, lane, s), speed)
+    place_vehicle(scene, traffic, i, choices[ROLE] == EGO_ROW, x, y, heading_at(lanes, lane, s), speed)
 
 
-@uncounted
-def put_row(row: Row, scene: Scene, traffic: Traffic, spots: FloatArray, i: int, k: int) -> int:
+@kernel_no_refcount
+def place_row(row: GeneratorRow, scene: ResetTables, traffic: NetworkTraffic, spots: FloatArray, i: int, k: int) -> int:
     """Place the vehicles of row k into the columns from `i` on.
 
     Parameters
@@ -257,11 +263,11 @@ def put_row(row: Row, scene: Scene, traffic: Traffic, spots: FloatArray, i: int,
     The column after the last vehicle.
     """
     choices = scene.choices[k]
-    for _ in range(choices[MANY]):
-        if choices[LAW] == SCATTERED:
+    for _ in range(choices[VEHICLES]):
+        if choices[PLACEMENT] == SCATTERED:
             if not _scattered(row, scene, traffic, spots, i, k):
                 continue
-        elif choices[LAW] == QUEUE:
+        elif choices[PLACEMENT] == QUEUE:
             _queue(row, scene, traffic, i, k)
         else:
             _at(row, scene, traffic, spots, i, k)

@@ -4,15 +4,26 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import clip
 from dynamics.highway_simulator.layout import CRASHED, KIND, LANE, OBSTACLE, SPEED, TARGET, TARGET_SPEED, X
 from dynamics.road_networks.geometry.lanes import on_lane
 from dynamics.road_networks.geometry.layout import ACROSS, ALONG, COUNT, ID, LEAVES
-from dynamics.road_networks.geometry.routes import Traffic
+from dynamics.road_networks.geometry.routes import NetworkTraffic
 from dynamics.state import FloatArray
 
-__all__ = ["CROSSING", "EXITING", "MERGING", "NAMES", "ROUND", "TURNING", "TWO_WAY", "Worth", "index_of_speed", "judge"]
+__all__ = [
+    "CROSSING",
+    "EXITING",
+    "MERGING",
+    "NAMES",
+    "ROUND",
+    "TURNING",
+    "TWO_WAY",
+    "RewardRules",
+    "index_of_speed",
+    "reward_of_decision",
+]
 
 MERGING, ROUND, EXITING, TWO_WAY, TURNING, CROSSING = range(6)
 """Merge, roundabout, exit, two-way, u-turn, intersection."""
@@ -31,7 +42,7 @@ _ARRIVED = 25.0
 """Distance along a lane that leaves the intersection from which the ego has arrived [m]."""
 
 
-class Worth(NamedTuple):
+class RewardRules(NamedTuple):
     """Parameters of rewards and ends of episodes.
 
     Attributes
@@ -57,13 +68,13 @@ class Worth(NamedTuple):
     decisions: int
 
 
-@inlined
+@kernel_inline
 def _share(x: float, ends: tuple[float, float]) -> float:
     """highway-env's `lmap`: linear, with 0 at the first of `ends` and 1 at the second."""
     return 0.0 + (x - ends[0]) * 1.0 / (ends[1] - ends[0])
 
 
-@inlined
+@kernel_inline
 def index_of_speed(target_speeds: FloatArray, speed: float) -> int:
     """Index of the ego's target speed."""
     index = 0
@@ -72,8 +83,8 @@ def index_of_speed(target_speeds: FloatArray, speed: float) -> int:
     return index
 
 
-@uncounted
-def _held_up(traffic: Traffic, lane: int, vehicles: int) -> float:
+@kernel_no_refcount
+def _held_up(traffic: NetworkTraffic, lane: int, vehicles: int) -> float:
     """Sum over the vehicles on the merging lane of their shortfall from the target speed, as a share of it."""
     f, g, total = traffic.f, traffic.g, 0.0
     for i in range(vehicles):
@@ -82,10 +93,10 @@ def _held_up(traffic: Traffic, lane: int, vehicles: int) -> float:
     return total
 
 
-@uncounted
+@kernel_no_refcount
 def _parts(
-    traffic: Traffic,
-    worth: Worth,
+    traffic: NetworkTraffic,
+    worth: RewardRules,
     target_speeds: FloatArray,
     ego: int,
     vehicles: int,
@@ -121,10 +132,10 @@ def _parts(
         parts[0], parts[1], parts[2], parts[3] = crashed, clip(fast, 0.0, 1.0), arrived, on_road
 
 
-@uncounted
-def judge(
-    traffic: Traffic,
-    worth: Worth,
+@kernel_no_refcount
+def reward_of_decision(
+    traffic: NetworkTraffic,
+    worth: RewardRules,
     target_speeds: FloatArray,
     ego: int,
     vehicles: int,

@@ -32,11 +32,11 @@ from dynamics.highway_simulator.layout import (
 )
 from dynamics.highway_simulator.live import load_body
 from dynamics.highway_simulator.observe import FEATURES
-from dynamics.highway_simulator.scenario import ACTIONS, COPIED, Inputs
-from dynamics.road_networks.episodes.arrivals import Coming
-from dynamics.road_networks.episodes.observe import AHEAD, EXIT, KINEMATICS, View
-from dynamics.road_networks.episodes.places import Places, places_of
-from dynamics.road_networks.episodes.placing import Scene
+from dynamics.highway_simulator.scenario import ACTIONS, COPIED, ActionScaling
+from dynamics.road_networks.episodes.arrivals import ArrivalRules
+from dynamics.road_networks.episodes.observe import AHEAD, EXIT, KINEMATICS, RoadObservationConfig
+from dynamics.road_networks.episodes.places import PlacementTables, placement_tables
+from dynamics.road_networks.episodes.placing import ResetTables
 from dynamics.road_networks.episodes.rewards import (
     CROSSING,
     EXITING,
@@ -45,15 +45,19 @@ from dynamics.road_networks.episodes.rewards import (
     ROUND,
     TURNING,
     TWO_WAY,
-    Worth,
+    RewardRules,
 )
 from dynamics.road_networks.episodes.step_kernels import EpisodeRules
-from dynamics.road_networks.episodes.supported_configs import is_world, kind_of_world, refusals
+from dynamics.road_networks.episodes.supported_configs import (
+    environment_kind,
+    is_supported_environment,
+    unsupported_road_settings,
+)
 from dynamics.road_networks.episodes.time_to_collision import ROWS
 from dynamics.road_networks.geometry.layout import ACROSS, ALONG, ROAD, F, G
 from dynamics.road_networks.geometry.network import Network, index_of, network_of
 from dynamics.road_networks.simulation.frame_kernels import NetworkRules
-from dynamics.road_networks.simulation.supported_traffic import customs_of, exits_of
+from dynamics.road_networks.simulation.supported_traffic import exits_of, traffic_regulation_of
 from dynamics.scenes.registration import spec_of
 from dynamics.state import FloatArray, IntArray
 from dynamics.traffic.crossing import make
@@ -84,7 +88,7 @@ class RoadScenario:
     config: Mapping[str, Any]
     rules: EpisodeRules
     lanes: Mapping[tuple[str, str, int], int]
-    inputs: Inputs | None
+    inputs: ActionScaling | None
     observation_space: gym.spaces.Box
     action_space: gym.Space[Any]
     shape: tuple[int, int]
@@ -119,12 +123,12 @@ def road_scenario_of(env_id: str, config: Mapping[str, Any] | None = None) -> Ro
     base = _made(env_id, config)
     lanes = index_of(base.road.network)
     network = network_of(base.road.network, bool(base.road.neighbour_vehicles_connected_lanes), exits_of(base))
-    places = places_of(base, lanes)
+    places = placement_tables(base, lanes)
     goals = places.goals if places is not None else tuple(f"o{k}" for k in range(4))
     ways = _ways(base.road.network, network, lanes, goals)
     action, inputs = base.action_type, None
     if isinstance(action, ContinuousAction):
-        inputs = Inputs(
+        inputs = ActionScaling(
             action.acceleration_range if action.longitudinal else None,
             action.steering_range if action.lateral else None,
             action.clip,
@@ -134,7 +138,7 @@ def road_scenario_of(env_id: str, config: Mapping[str, Any] | None = None) -> Ro
     frequency, decisions = base.config["simulation_frequency"], base.config["policy_frequency"]
     drive = NetworkRules(
         network=network,
-        customs=customs_of(base)._replace(stay=0, phase=0),
+        customs=traffic_regulation_of(base)._replace(stay=0, phase=0),
         numbers=(int(frequency // decisions), -1),
         times=(1 / frequency, 1 / decisions),
         target_speeds=target_speeds,
@@ -167,7 +171,7 @@ def on_roads(env_id: str) -> bool:
     ConfigError
         If there is no such environment.
     """
-    return is_world(_class_of(env_id)[1])
+    return is_supported_environment(_class_of(env_id)[1])
 
 
 def _class_of(env_id: str) -> tuple[Any, Any]:
@@ -185,14 +189,14 @@ def _made(env_id: str, config: Mapping[str, Any] | None) -> Any:
     spec, kind = _class_of(env_id)
     if not isinstance(kind, type):
         raise ConfigError(f"{env_id} is made by {kind!r}, not by a class of environments")
-    kind_of_world(kind)
+    environment_kind(kind)
     others = sorted(spec.kwargs.keys() - {"config", "render_mode"})
     if others or spec.additional_wrappers:
         raise ConfigError(f"{env_id} is registered with {', '.join(others) or 'wrappers'}; take highway-env itself")
     whole = cast(Any, kind).default_config()
     whole.update((spec.kwargs.get("config") or {}) if config is None else config)
-    refused = refusals(kind, whole)
-    if kind_of_world(kind) != CROSSING and whole["action"]["type"] == "ContinuousAction":
+    refused = unsupported_road_settings(kind, whole)
+    if environment_kind(kind) != CROSSING and whole["action"]["type"] == "ContinuousAction":
         refused.append("ContinuousAction, which its own reward does not take")
     if refused:
         raise ConfigError(f"the compiled episodes cannot run {env_id} with {'; '.join(refused)}")
@@ -218,7 +222,7 @@ def _ways(roads: Any, network: Network, lanes: Mapping[tuple[str, str, int], int
     return table
 
 
-def _bodies(base: Any, places: Places | None) -> int:
+def _bodies(base: Any, places: PlacementTables | None) -> int:
     """Greatest number of bodies."""
     if places is not None:
         return sum(integers[2] for _, integers in places.rows) + len(base.road.objects)
@@ -229,13 +233,13 @@ def _bodies(base: Any, places: Places | None) -> int:
 def _scene(
     base: Any,
     lanes: Mapping[tuple[str, str, int], int],
-    places: Places | None,
+    places: PlacementTables | None,
     ways: IntArray,
     target_speeds: FloatArray,
-) -> Scene:
+) -> ResetTables:
     """The tables of a reset, with the obstacles of the environment's road."""
     traffic = next(type(v) for v in base.road.vehicles if v is not base.vehicle)
-    places = places or Places([])
+    places = places or PlacementTables([])
     rows, choices = places.tables()
     count = len(base.road.objects)
     f, g, p = np.zeros((F, count)), np.zeros((G, count), np.int64), np.zeros((P, count))
@@ -251,7 +255,7 @@ def _scene(
         ego[[ACC_MAX, COMFORT]] = _LAW
     if inputs and base.action_type.speed_range:
         ego[[MIN_SPEED, MAX_SPEED]] = base.action_type.speed_range
-    return Scene(
+    return ResetTables(
         rows=rows,
         choices=choices,
         constants=np.array([ego, constants_of(traffic)]),
@@ -272,10 +276,10 @@ def _scene(
     )
 
 
-def _coming(base: Any, lanes: Mapping[tuple[str, str, int], int]) -> Coming:
+def _coming(base: Any, lanes: Mapping[tuple[str, str, int], int]) -> ArrivalRules:
     """The new vehicles of an intersection; without entrances for other roads."""
     if not isinstance(base, IntersectionEnv):
-        return Coming(np.zeros(0, np.int64), np.zeros(0), 0, 0.0, -1)
+        return ArrivalRules(np.zeros(0, np.int64), np.zeros(0), 0, 0.0, -1)
     config = base.config
     count, goal = int(config["initial_vehicle_count"]), config["destination"]
     arms = np.array([lanes[f"o{k}", f"ir{k}", 0] for k in range(4)], np.int64)
@@ -283,12 +287,12 @@ def _coming(base: Any, lanes: Mapping[tuple[str, str, int], int]) -> Coming:
     if goal and goal not in ("o0", "o1", "o2", "o3"):
         raise ConfigError(f"the destinations at an intersection are o0 to o3, not {goal!r}")
     number = int(goal[1]) if goal else -1
-    return Coming(arms, places, int(config["simulation_frequency"]), float(config["spawn_probability"]), number)
+    return ArrivalRules(arms, places, int(config["simulation_frequency"]), float(config["spawn_probability"]), number)
 
 
-def _worth(base: Any, lanes: Mapping[tuple[str, str, int], int]) -> Worth:
+def _worth(base: Any, lanes: Mapping[tuple[str, str, int], int]) -> RewardRules:
     """The parameters of rewards and ends of episodes."""
-    config, kind = base.config, kind_of_world(type(base))
+    config, kind = base.config, environment_kind(type(base))
     weights = np.zeros(5)
     weights[: len(NAMES[kind])] = [float(config.get(name, 0)) for name in NAMES[kind]]
     found = (-1, -1)
@@ -306,7 +310,7 @@ def _worth(base: Any, lanes: Mapping[tuple[str, str, int], int]) -> Worth:
     read = kind not in (ROUND, TWO_WAY)
     slow, fast = (float(v) for v in config.get("reward_speed_range", (0.0, 1.0))) if read else (0.0, 1.0)
     ends = kind == MERGING
-    return Worth(
+    return RewardRules(
         kind=kind,
         weights=weights,
         speeds=(slow, fast),
@@ -320,14 +324,14 @@ def _worth(base: Any, lanes: Mapping[tuple[str, str, int], int]) -> Worth:
     )
 
 
-def _view(base: Any, lanes: Mapping[tuple[str, str, int], int]) -> tuple[View, tuple[int, int]]:
+def _view(base: Any, lanes: Mapping[tuple[str, str, int], int]) -> tuple[RoadObservationConfig, tuple[int, int]]:
     """The configuration of the observation, and its shape in the kernels."""
     seen = base.observation_type
     if isinstance(seen, TimeToCollisionObservation):
         step = 1 / base.config["policy_frequency"]
         steps = int(seen.horizon / step)
         nothing_else = np.zeros(0, np.int64), np.zeros((0, 2)), cast(Any, (False,) * 8)
-        return View(AHEAD, *nothing_else, -1, steps, step), (ROWS, steps)
+        return RoadObservationConfig(AHEAD, *nothing_else, -1, steps, step), (ROWS, steps)
     is_exit = base.config["observation"]["type"] == "ExitObservation"
     ranges, nothing = seen.features_range or {}, (math.nan, math.nan)
     table = np.array([ranges.get(name, nothing)[:2] for name in seen.features], float)
@@ -345,5 +349,5 @@ def _view(base: Any, lanes: Mapping[tuple[str, str, int], int]) -> tuple[View, t
     exit_lane = -1
     if is_exit:
         exit_lane = lanes[max(key for key in lanes if key[:2] == ("1", "2"))]
-    view = View(EXIT if is_exit else KINEMATICS, features, table, switches, exit_lane, 0, 0.0)
+    view = RoadObservationConfig(EXIT if is_exit else KINEMATICS, features, table, switches, exit_lane, 0, 0.0)
     return view, (int(seen.vehicles_count), len(seen.features))

@@ -13,10 +13,10 @@ from dynamics.errors import ConfigError, SceneError
 from dynamics.highway_simulator.arithmetic import Sums, sums_of_numpy
 from dynamics.highway_simulator.loops import addresses
 from dynamics.highway_simulator.random import WORDS, from_generator
-from dynamics.highway_simulator.requests import actions_given, resets_asked, steps_asked
+from dynamics.highway_simulator.requests import checked_resets, checked_steps, kernel_actions
 from dynamics.highway_simulator.step_kernels import Machine
 from dynamics.road_networks.episodes.scenario import RoadScenario, road_scenario_of
-from dynamics.road_networks.episodes.step_kernels import Episodes, EpisodeWork, RoadsSeen, reset_all, step_all
+from dynamics.road_networks.episodes.step_kernels import Episodes, EpisodeWork, RoadStepResults, reset_all, step_all
 from dynamics.road_networks.geometry.layout import COUNT
 from dynamics.road_networks.simulation.frame_kernels import (
     NetworkRules,
@@ -87,7 +87,7 @@ class RoadSimulator:
         self._slices = Slices(num_envs, threads)
         self._works = [self.episode_work() for _ in self._slices.bounds]
         rows, features = scenario.shape
-        self.flat = RoadsSeen(
+        self.flat = RoadStepResults(
             np.zeros((num_envs, rows, features), np.float32),
             np.zeros((num_envs, rows, features), np.float32),
             np.zeros(num_envs),
@@ -145,7 +145,7 @@ class RoadSimulator:
         -------
         The observations of all environments, (e, *shape) float32. The next call overwrites the array.
         """
-        chosen, numbers = resets_asked(self.num_envs, seeds, which)
+        chosen, numbers = checked_resets(self.num_envs, seeds, which)
         self.flat.full[chosen] = False
         reset_all(self.machine, self.episodes, self.scenario.rules, self._works[0], self.flat, chosen, numbers)
         return self.seen.observations
@@ -181,7 +181,7 @@ class RoadSimulator:
             rules, work = self.scenario.rules, self._works[k]
             step_all(self.machine, self.episodes, rules, work, self.flat, given, first, last, again)
 
-        self._slices.run(part, steps_asked(self.num_envs, which))
+        self._slices.run(part, checked_steps(self.num_envs, which))
         self.check_room()
         return seen.observations, seen.reward, seen.terminated, seen.truncated
 
@@ -218,4 +218,4 @@ class RoadSimulator:
 
     def _given(self, actions: Any) -> FloatArray:
         """Actions in the form of the kernels, (e, 2)."""
-        return actions_given(actions, self.num_envs, len(self.scenario.rules.drive.labels), self.scenario.inputs)
+        return kernel_actions(actions, self.num_envs, len(self.scenario.rules.drive.labels), self.scenario.inputs)

@@ -7,14 +7,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import kernel_no_refcount
 from dynamics.highway_simulator.layout import CRASHED, EGO, KIND, SPEED, TARGET_SPEED
 from dynamics.highway_simulator.random import seed_row
 from dynamics.highway_simulator.step_kernels import Machine
-from dynamics.road_networks.episodes.arrivals import Coming, leave_and_come, populate
-from dynamics.road_networks.episodes.observe import AHEAD, View, kinematics
-from dynamics.road_networks.episodes.placing import Scene, put_row
-from dynamics.road_networks.episodes.rewards import Worth, index_of_speed, judge
+from dynamics.road_networks.episodes.arrivals import ArrivalRules, clear_and_spawn, spawn_intersection
+from dynamics.road_networks.episodes.observe import AHEAD, RoadObservationConfig, kinematics
+from dynamics.road_networks.episodes.placing import ResetTables, place_row
+from dynamics.road_networks.episodes.rewards import RewardRules, index_of_speed, reward_of_decision
 from dynamics.road_networks.episodes.time_to_collision import time_ahead
 from dynamics.road_networks.geometry.layout import FRAMES
 from dynamics.road_networks.simulation.frame_kernels import (
@@ -33,11 +33,11 @@ __all__ = [
     "EpisodeRules",
     "EpisodeWork",
     "Episodes",
-    "RoadsSeen",
-    "again_at",
+    "RoadStepResults",
     "begin",
     "finish",
     "reset_all",
+    "start_next_episode",
     "step_all",
 ]
 
@@ -54,10 +54,10 @@ class EpisodeRules(NamedTuple):
     """The constants of all environments."""
 
     drive: NetworkRules
-    scene: Scene
-    coming: Coming
-    sight: View
-    worth: Worth
+    scene: ResetTables
+    coming: ArrivalRules
+    sight: RoadObservationConfig
+    worth: RewardRules
 
 
 class EpisodeWork(NamedTuple):
@@ -71,7 +71,7 @@ class EpisodeWork(NamedTuple):
     ahead: FloatArray
 
 
-class RoadsSeen(NamedTuple):
+class RoadStepResults(NamedTuple):
     """Results of a step, one entry for each environment.
 
     Attributes
@@ -94,18 +94,18 @@ class RoadsSeen(NamedTuple):
     full: NDArray[np.bool_]
 
 
-@uncounted
+@kernel_no_refcount
 def _restart(machine: Machine, episodes: Episodes, rules: EpisodeRules, work: EpisodeWork, e: int) -> None:
     """Draw a new scene in one environment."""
     worlds, row, scene = episodes.worlds, episodes.rows[e], rules.scene
     worlds.clock[e], episodes.decisions[e] = 0.0, 0
     if len(rules.coming.arms) > 0:
-        populate(machine, worlds, rules.drive, scene, rules.coming, work.drive, row, e)
+        spawn_intersection(machine, worlds, rules.drive, scene, rules.coming, work.drive, row, e)
         return
     f, g, p = worlds.f[e], worlds.g[e], worlds.p[e]
     traffic, n = traffic_of(machine, worlds, rules.drive.network, e), 0
     for k in range(len(scene.rows)):
-        n = put_row(row, scene, traffic, work.drive.numbers, n, k)
+        n = place_row(row, scene, traffic, work.drive.numbers, n, k)
     worlds.counts[e, 0] = n
     for j in range(scene.standing.shape[1]):
         for k in range(f.shape[0]):
@@ -121,7 +121,7 @@ def _restart(machine: Machine, episodes: Episodes, rules: EpisodeRules, work: Ep
         worlds.order[e, i] = i
 
 
-@uncounted
+@kernel_no_refcount
 def _show(
     machine: Machine,
     episodes: Episodes,
@@ -141,7 +141,7 @@ def _show(
     kinematics(episodes.rows[e], traffic, view, ego, work.near, work.away, work.seen, out)
 
 
-@uncounted
+@kernel_no_refcount
 def begin(machine: Machine, episodes: Episodes, rules: EpisodeRules, e: int, action: FloatArray) -> None:
     """Begin a decision in one environment: apply its action."""
     worlds = episodes.worlds
@@ -154,13 +154,13 @@ def begin(machine: Machine, episodes: Episodes, rules: EpisodeRules, e: int, act
         hold(worlds, e, action[0], action[1])
 
 
-@uncounted
+@kernel_no_refcount
 def finish(
     machine: Machine,
     episodes: Episodes,
     rules: EpisodeRules,
     work: EpisodeWork,
-    seen: RoadsSeen,
+    seen: RoadStepResults,
     e: int,
     action: FloatArray,
 ) -> None:
@@ -171,22 +171,22 @@ def finish(
     ego, traffic = ego_of(worlds.g[e]), traffic_of(machine, worlds, rules.drive.network, e)
     which = int(action[0]) if traffic.g[KIND, ego] == EGO else -1
     speeds, vehicles = rules.drive.target_speeds, worlds.counts[e, 0]
-    seen.reward[e], seen.terminated[e] = judge(traffic, worth, speeds, ego, vehicles, which, seen.parts[e])
+    seen.reward[e], seen.terminated[e] = reward_of_decision(traffic, worth, speeds, ego, vehicles, which, seen.parts[e])
     seen.speed[e], seen.crashed[e] = traffic.f[SPEED, ego], traffic.g[CRASHED, ego] != 0
     cut = worth.decisions > 0 and episodes.decisions[e] >= worth.decisions
     seen.truncated[e] = cut or worlds.clock[e] >= worth.duration
     if len(rules.coming.arms) > 0:
-        room = leave_and_come(machine, worlds, rules.drive, rules.scene, rules.coming, work.drive, episodes.rows[e], e)
+        room = clear_and_spawn(machine, worlds, rules.drive, rules.scene, rules.coming, work.drive, episodes.rows[e], e)
         seen.full[e] = seen.full[e] or not room
 
 
-@uncounted
+@kernel_no_refcount
 def reset_all(
     machine: Machine,
     episodes: Episodes,
     rules: EpisodeRules,
     work: EpisodeWork,
-    seen: RoadsSeen,
+    seen: RoadStepResults,
     which: IntArray,
     seeds: IntArray,
 ) -> None:
@@ -200,9 +200,9 @@ def reset_all(
         seen.speed[e], seen.crashed[e] = episodes.worlds.f[e, SPEED, ego_of(episodes.worlds.g[e])], False
 
 
-@uncounted
-def again_at(
-    machine: Machine, episodes: Episodes, rules: EpisodeRules, work: EpisodeWork, seen: RoadsSeen, e: int
+@kernel_no_refcount
+def start_next_episode(
+    machine: Machine, episodes: Episodes, rules: EpisodeRules, work: EpisodeWork, seen: RoadStepResults, e: int
 ) -> None:
     """Start the next episode in one environment; `seen.terminal` gets the last observation."""
     for k in range(seen.observations.shape[1]):
@@ -212,13 +212,13 @@ def again_at(
     _show(machine, episodes, rules, work, e, seen.observations[e])
 
 
-@uncounted
+@kernel_no_refcount
 def step_all(
     machine: Machine,
     episodes: Episodes,
     rules: EpisodeRules,
     work: EpisodeWork,
-    seen: RoadsSeen,
+    seen: RoadStepResults,
     actions: FloatArray,
     first: int,
     last: int,
@@ -232,4 +232,4 @@ def step_all(
             advance(machine, episodes.worlds, rules.drive, work.drive, e)
         finish(machine, episodes, rules, work, seen, e, actions[e])
         if again and (seen.terminated[e] or seen.truncated[e]):
-            again_at(machine, episodes, rules, work, seen, e)
+            start_next_episode(machine, episodes, rules, work, seen, e)

@@ -16,7 +16,7 @@ from dynamics.highway_simulator.kinds import kind_of, mix_of
 from dynamics.highway_simulator.observe import FEATURES
 from dynamics.road_networks.episodes.rewards import CROSSING, EXITING, MERGING, NAMES, ROUND, TURNING, TWO_WAY
 
-__all__ = ["is_world", "kind_of_world", "refusals", "worlds_known"]
+__all__ = ["environment_kind", "is_supported_environment", "supported_environment_names", "unsupported_road_settings"]
 
 _WORLDS: dict[type, int] = {
     merge_env.MergeEnv: MERGING,
@@ -41,17 +41,17 @@ _READ_ELSEWHERE = ("reward_speed_range",)
 _VIEWS = ("Kinematics", "ExitObservation", "TimeToCollision")
 
 
-def worlds_known() -> str:
+def supported_environment_names() -> str:
     """The names of the supported environment classes."""
     return ", ".join(kind.__name__ for kind in _WORLDS)
 
 
-def is_world(kind: object) -> bool:
+def is_supported_environment(kind: object) -> bool:
     """Whether an object is an environment class with compiled episodes."""
     return isinstance(kind, type) and kind in _WORLDS
 
 
-def kind_of_world(kind: type) -> int:
+def environment_kind(kind: type) -> int:
     """MERGING to CROSSING, for an environment class.
 
     Raises
@@ -60,18 +60,20 @@ def kind_of_world(kind: type) -> int:
         If the class is not supported.
     """
     if kind not in _WORLDS:
-        raise ConfigError(f"the episodes of {kind.__name__} are not compiled; those of {worlds_known()} are")
+        raise ConfigError(
+            f"the episodes of {kind.__name__} are not compiled; those of {supported_environment_names()} are"
+        )
     return _WORLDS[kind]
 
 
-def refusals(kind: type[Any], config: Mapping[str, Any]) -> list[str]:
+def unsupported_road_settings(kind: type[Any], config: Mapping[str, Any]) -> list[str]:
     """All unsupported entries of a whole configuration; an empty list if it is supported."""
-    known = {*kind.default_config(), *NAMES[kind_of_world(kind)], *_READ_ELSEWHERE}
+    known = {*kind.default_config(), *NAMES[environment_kind(kind)], *_READ_ELSEWHERE}
     refused = [f"{key}={config[key]!r}" for key in sorted(config.keys() - known)]
     if config.get("controlled_vehicles", 1) != 1:
         refused.append(f"controlled_vehicles={config['controlled_vehicles']}")
     refused += [key for key in ("show_trajectories", "manual_control") if config[key]]
-    if kind_of_world(kind) == CROSSING and not math.isfinite(config["duration"]):
+    if environment_kind(kind) == CROSSING and not math.isfinite(config["duration"]):
         refused.append(f"duration={config['duration']}")
     try:
         traffic = utils.class_from_path(config["other_vehicles_type"])
@@ -80,7 +82,7 @@ def refusals(kind: type[Any], config: Mapping[str, Any]) -> list[str]:
             refused.append(f"other_vehicles_type={traffic.__name__}")
     except (ConfigError, AttributeError, ImportError, ValueError) as error:
         refused.append(f"other_vehicles_type={config['other_vehicles_type']} ({error})")
-    if config["observation"].get("type") == "ExitObservation" and kind_of_world(kind) != EXITING:
+    if config["observation"].get("type") == "ExitObservation" and environment_kind(kind) != EXITING:
         refused.append("an ExitObservation where there is no exit")
     return [*refused, *_observation(config), *_action(config)]
 

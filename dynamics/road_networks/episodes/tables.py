@@ -5,35 +5,35 @@ from __future__ import annotations
 __all__ = [
     "AT",
     "BOUND_FOR",
+    "DESIRED_SPEED",
     "DRAWN",
     "EGO_ROW",
     "FACING",
-    "FAST",
-    "FAST_SPREAD",
     "FIRST_LANE",
     "GOAL",
     "GOALS",
     "HEADED",
     "INTEGERS",
     "LANES",
-    "LAW",
-    "MANY",
     "MAY_CHANGE",
     "NORMAL",
     "NUMBERS",
     "PLACE",
+    "PLACEMENT",
     "PLACE_SPREAD",
     "QUEUE",
+    "ROLE",
     "SCATTERED",
+    "START_SPEED",
+    "START_SPEED_SPREAD",
     "STEADY",
     "TRIES",
     "UNIFORM",
     "VARIES",
-    "WANTED",
-    "WHOSE",
+    "VEHICLES",
 ]
 
-PLACE, PLACE_SPREAD, FAST, FAST_SPREAD, FACING, WANTED = range(6)
+PLACE, PLACE_SPREAD, START_SPEED, START_SPEED_SPREAD, FACING, DESIRED_SPEED = range(6)
 """Numbers of a row.
 
 PLACE, FAST: position along the lane [m] and speed [m/s] of a vehicle; PLACE_SPREAD, FAST_SPREAD: their half range or
@@ -43,7 +43,9 @@ without a random draw.
 """
 NUMBERS = 6
 
-WHOSE, LAW, MANY, TRIES, FIRST_LANE, LANES, DRAWN, HEADED, GOAL, GOALS, VARIES, MAY_CHANGE, BOUND_FOR = range(13)
+ROLE, PLACEMENT, VEHICLES, TRIES, FIRST_LANE, LANES, DRAWN, HEADED, GOAL, GOALS, VARIES, MAY_CHANGE, BOUND_FOR = range(
+    13
+)
 """Integers of a row.
 
 WHOSE: EGO_ROW, or 1 for the traffic. LAW: AT, SCATTERED or QUEUE. MANY: number of vehicles; TRIES: attempts to place

@@ -7,13 +7,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import dot2, not_zero
 from dynamics.highway_simulator.layout import COS, LANE, LENGTH, SIN, SPEED
-from dynamics.road_networks.episodes.observe import View
+from dynamics.road_networks.episodes.observe import RoadObservationConfig
 from dynamics.road_networks.geometry.layout import ALONG, COUNT, ID, ROAD, ROUTE, ROUTE_END
 from dynamics.road_networks.geometry.network import Network
-from dynamics.road_networks.geometry.routes import Traffic, on_lane_of
+from dynamics.road_networks.geometry.routes import NetworkTraffic, on_lane_of
 from dynamics.state import FloatArray, IntArray
 
 __all__ = ["ROWS", "time_ahead"]
@@ -24,7 +24,7 @@ _DEPTH = 3
 """Number of roads ahead that are searched."""
 
 
-@uncounted
+@kernel_no_refcount
 def _leads(network: Network, route: IntArray, at: int, end: int, road: int, other: int, stack: IntArray) -> bool:
     """highway-env's `is_connected_road` of two roads, given entries `at` to `end` of a route from the first road.
 
@@ -55,7 +55,7 @@ def _leads(network: Network, route: IntArray, at: int, end: int, road: int, othe
     return False
 
 
-@uncounted
+@kernel_no_refcount
 def _note(grid: FloatArray, lane: int, time: float, cost: float) -> None:
     """Mark a collision at a time step in a lane, or in all lanes if `lane` is -1."""
     if not 0 <= time < grid.shape[1]:
@@ -65,9 +65,15 @@ def _note(grid: FloatArray, lane: int, time: float, cost: float) -> None:
             grid[k, int(time)] = max(grid[k, int(time)], cost)
 
 
-@uncounted
+@kernel_no_refcount
 def _fill(
-    traffic: Traffic, view: View, ego: int, target_speed: float, vehicles: int, stack: IntArray, grid: FloatArray
+    traffic: NetworkTraffic,
+    view: RoadObservationConfig,
+    ego: int,
+    target_speed: float,
+    vehicles: int,
+    stack: IntArray,
+    grid: FloatArray,
 ) -> None:
     """The collisions of the ego at a target speed, (lanes, steps), written."""
     f, g, p, ids, sums = traffic.f, traffic.g, traffic.p, traffic.lanes.ids, traffic.lanes.sums
@@ -96,10 +102,10 @@ def _fill(
             _note(grid, into, math.ceil(steps), 1.0 if k == 0 else 0.5)
 
 
-@uncounted
+@kernel_no_refcount
 def time_ahead(
-    traffic: Traffic,
-    view: View,
+    traffic: NetworkTraffic,
+    view: RoadObservationConfig,
     ego: int,
     target_speeds: FloatArray,
     speed_index: int,

@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from dynamics.compiled import inlined, uncounted
-from dynamics.road_networks.geometry.lanes import Lanes
+from dynamics.compiled import kernel_inline, kernel_no_refcount
+from dynamics.road_networks.geometry.lanes import NetworkLanes
 from dynamics.road_networks.geometry.layout import (
     ACROSS_X,
     ACROSS_Y,
@@ -31,10 +31,10 @@ from dynamics.road_networks.geometry.layout import (
 )
 from dynamics.state import FloatArray
 
-__all__ = ["Extent", "Place", "Rectangle", "extent_of"]
+__all__ = ["Extent", "LanePoint", "Rectangle", "extent_of"]
 
 
-class Place(NamedTuple):
+class LanePoint(NamedTuple):
     """A point in the world frame, and its s and r on a lane [m]."""
 
     x: float
@@ -63,15 +63,15 @@ class Extent(NamedTuple):
     high: float
 
 
-@inlined
+@kernel_inline
 def _direction(row: FloatArray, body: Rectangle) -> tuple[float, float]:
     """Components of a rectangle's direction along and across a line."""
     along = body.cos * row[ALONG_X] + body.sin * row[ALONG_Y]
     return along, body.cos * row[ACROSS_X] + body.sin * row[ACROSS_Y]
 
 
-@inlined
-def _on_line(row: FloatArray, at: Place, body: Rectangle) -> Extent:
+@kernel_inline
+def _on_line(row: FloatArray, at: LanePoint, body: Rectangle) -> Extent:
     """The extent on a straight lane."""
     along, across = _direction(row, body)
     ds = abs(along) * body.length + abs(across) * body.width
@@ -80,8 +80,8 @@ def _on_line(row: FloatArray, at: Place, body: Rectangle) -> Extent:
     return Extent(s - ds, s + ds, r - dr, r + dr)
 
 
-@uncounted
-def _on_arc(row: FloatArray, at: Place, body: Rectangle) -> Extent:
+@kernel_no_refcount
+def _on_arc(row: FloatArray, at: LanePoint, body: Rectangle) -> Extent:
     """The extent on an arc. Angles and the greatest distance from the centre are extreme at corners. The least distance
     may be on a side."""
     sign, radius = row[DIRECTION], row[RADIUS]
@@ -114,7 +114,7 @@ def _on_arc(row: FloatArray, at: Place, body: Rectangle) -> Extent:
     return Extent(at.s + min(one, other), at.s + max(one, other), min(inside, outside), max(inside, outside))
 
 
-@uncounted
+@kernel_no_refcount
 def _bulges(row: FloatArray, s: float, q: float, ds: float, dq: float) -> tuple[float, float]:
     """The least and the greatest r at which a segment is parallel to a sine; infinite where there is none.
 
@@ -137,8 +137,8 @@ def _bulges(row: FloatArray, s: float, q: float, ds: float, dq: float) -> tuple[
     return low, high
 
 
-@uncounted
-def _on_sine(row: FloatArray, at: Place, body: Rectangle) -> Extent:
+@kernel_no_refcount
+def _on_sine(row: FloatArray, at: LanePoint, body: Rectangle) -> Extent:
     """The extent on a sine: r is extreme at a corner, or where a side is parallel to the sine."""
     along, across = _direction(row, body)
     swing, rate, phase = row[AMPLITUDE], row[PULSATION], row[PHASE]
@@ -158,8 +158,8 @@ def _on_sine(row: FloatArray, at: Place, body: Rectangle) -> Extent:
     return Extent(s - reach, s + reach, low, high)
 
 
-@uncounted
-def extent_of(lanes: Lanes, lane: int, at: Place, body: Rectangle) -> Extent:
+@kernel_no_refcount
+def extent_of(lanes: NetworkLanes, lane: int, at: LanePoint, body: Rectangle) -> Extent:
     """The extent of a rectangle on a lane. If it contains the centre of an arc, s spans the whole circle."""
     row, shape = lanes.rows[lane], lanes.ids[lane, SHAPE]
     if shape == CIRCULAR:

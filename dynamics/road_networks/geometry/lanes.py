@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import dot2, wrap_to_pi
 from dynamics.highway_simulator.lanes import OVERHANG
 from dynamics.highway_simulator.layout import LANE_LENGTH, LANE_WIDTH
@@ -43,7 +43,7 @@ from dynamics.road_networks.geometry.layout import (
 from dynamics.state import FloatArray, IntArray
 
 __all__ = [
-    "Lanes",
+    "NetworkLanes",
     "after_end",
     "closest",
     "distance",
@@ -62,7 +62,7 @@ _ROUNDING = 1e-9
 """Bound on the rounding error of a distance [m]."""
 
 
-class Lanes(NamedTuple):
+class NetworkLanes(NamedTuple):
     """The lanes of a network, and how numpy computes on this machine (see
     `dynamics.highway_simulator.step_kernels.Machine`).
 
@@ -78,7 +78,7 @@ class Lanes(NamedTuple):
     near: IntArray
 
 
-@inlined
+@kernel_inline
 def _on_arc(row: FloatArray, radius: float, polar: float) -> tuple[float, float]:
     """(s, r) on an arc [m] from polar coordinates around its centre [m, rad]."""
     start = row[PHASE]
@@ -86,22 +86,22 @@ def _on_arc(row: FloatArray, radius: float, polar: float) -> tuple[float, float]
     return row[DIRECTION] * (phi - start) * row[RADIUS], row[DIRECTION] * (row[RADIUS] - radius)
 
 
-@inlined
+@kernel_inline
 def straight(sums: int, row: FloatArray, x: float, y: float) -> tuple[float, float]:
     """(s, r) of a point on a straight lane; for a sine, along and across the line that it winds around [m]."""
     dx, dy = x - row[ORIGIN_X], y - row[ORIGIN_Y]
     return dot2(sums, dx, row[ALONG_X], dy, row[ALONG_Y]), dot2(sums, dx, row[ACROSS_X], dy, row[ACROSS_Y])
 
 
-@inlined
-def _polar(lanes: Lanes, dx: float, dy: float) -> tuple[float, float]:
+@kernel_inline
+def _polar(lanes: NetworkLanes, dx: float, dy: float) -> tuple[float, float]:
     """Polar coordinates of a point relative to a centre [m, rad]."""
     radius = math.sqrt(dot2(lanes.sums, dx, dx, dy, dy))
     return radius, at_two(lanes.loops[_ARCTAN2, 0], lanes.loops[_ARCTAN2, 1], dy, dx)
 
 
-@uncounted
-def local(lanes: Lanes, lane: int, x: float, y: float) -> tuple[float, float]:
+@kernel_no_refcount
+def local(lanes: NetworkLanes, lane: int, x: float, y: float) -> tuple[float, float]:
     """(s, r) of a point on a lane [m]."""
     row = lanes.rows[lane]
     if lanes.ids[lane, SHAPE] == CIRCULAR:
@@ -113,8 +113,8 @@ def local(lanes: Lanes, lane: int, x: float, y: float) -> tuple[float, float]:
     return s, r
 
 
-@inlined
-def unrolled(lanes: Lanes, lane: int, s: float) -> float:
+@kernel_inline
+def unrolled(lanes: NetworkLanes, lane: int, s: float) -> float:
     """The same place with s within half a circle of the middle of an arc [m]. highway-env's s jumps back by a circle at
     half a circle after the start, where the lane of a u-turn ends."""
     if lanes.ids[lane, SHAPE] != CIRCULAR:
@@ -123,8 +123,8 @@ def unrolled(lanes: Lanes, lane: int, s: float) -> float:
     return s + 2 * half if s < 0.5 * lanes.rows[lane, LANE_LENGTH] - half else s
 
 
-@uncounted
-def least_across(lanes: Lanes, lane: int, x: float, y: float) -> float:
+@kernel_no_refcount
+def least_across(lanes: NetworkLanes, lane: int, x: float, y: float) -> float:
     """Lower bound on |r| of a point on a lane [m], without computing an angle."""
     row = lanes.rows[lane]
     dx, dy = x - row[ORIGIN_X], y - row[ORIGIN_Y]
@@ -134,8 +134,8 @@ def least_across(lanes: Lanes, lane: int, x: float, y: float) -> float:
     return r - abs(row[AMPLITUDE]) - _ROUNDING if lanes.ids[lane, SHAPE] == SINE else r
 
 
-@inlined
-def heading_at(lanes: Lanes, lane: int, s: float) -> float:
+@kernel_inline
+def heading_at(lanes: NetworkLanes, lane: int, s: float) -> float:
     """Heading of a lane at s [rad]."""
     row = lanes.rows[lane]
     if lanes.ids[lane, SHAPE] == CIRCULAR:
@@ -147,8 +147,8 @@ def heading_at(lanes: Lanes, lane: int, s: float) -> float:
     return row[LANE_HEADING]
 
 
-@uncounted
-def place(lanes: Lanes, lane: int, s: float) -> tuple[float, float]:
+@kernel_no_refcount
+def place(lanes: NetworkLanes, lane: int, s: float) -> tuple[float, float]:
     """The point of a lane's centre line at s [m]."""
     row = lanes.rows[lane]
     if lanes.ids[lane, SHAPE] == CIRCULAR:
@@ -165,14 +165,14 @@ def place(lanes: Lanes, lane: int, s: float) -> tuple[float, float]:
     return x, row[ORIGIN_Y] + s * row[ALONG_Y] + r * row[ACROSS_Y]
 
 
-@inlined
+@kernel_inline
 def on_lane(rows: FloatArray, lane: int, s: float, r: float, margin: float) -> bool:
     """Whether a place is on a lane, or no further beyond its edges than the margin [m]."""
     return abs(r) <= rows[lane, LANE_WIDTH] / 2 + margin and -OVERHANG <= s < rows[lane, LANE_LENGTH] + OVERHANG
 
 
-@uncounted
-def reachable(lanes: Lanes, lane: int, x: float, y: float) -> bool:
+@kernel_no_refcount
+def reachable(lanes: NetworkLanes, lane: int, x: float, y: float) -> bool:
     """Whether a lane may be chosen from a place."""
     if lanes.ids[lane, FORBIDDEN]:
         return False
@@ -180,35 +180,35 @@ def reachable(lanes: Lanes, lane: int, x: float, y: float) -> bool:
     return abs(r) <= 2 * lanes.rows[lane, LANE_WIDTH] and 0 <= s < lanes.rows[lane, LANE_LENGTH] + OVERHANG
 
 
-@inlined
+@kernel_inline
 def after_end(rows: FloatArray, lane: int, s: float) -> bool:
     """Whether a lane has been driven to its end."""
     return s > rows[lane, LANE_LENGTH] - OVERHANG / 2
 
 
-@uncounted
-def distance(lanes: Lanes, lane: int, x: float, y: float) -> float:
+@kernel_no_refcount
+def distance(lanes: NetworkLanes, lane: int, x: float, y: float) -> float:
     """highway-env's distance from a point to a lane [m]: across, and along beyond its ends."""
     s, r = local(lanes, lane, x, y)
     return abs(r) + max(s - lanes.rows[lane, LANE_LENGTH], 0.0) + max(0.0 - s, 0.0)
 
 
-@inlined
-def _away(lanes: Lanes, lane: int, s: float, r: float, heading: float) -> float:
+@kernel_inline
+def _away(lanes: NetworkLanes, lane: int, s: float, r: float, heading: float) -> float:
     """highway-env's `distance_with_heading` from a place on a lane."""
     angle = abs(wrap_to_pi(heading - heading_at(lanes, lane, s)))
     return abs(r) + max(s - lanes.rows[lane, LANE_LENGTH], 0.0) + max(0.0 - s, 0.0) + 1.0 * angle
 
 
-@inlined
+@kernel_inline
 def _within(row: FloatArray, x: float, y: float, limit: float) -> bool:
     """Whether a point is within `limit` of the bounding box of a lane [m]."""
     across = row[LEAST_X] - limit <= x <= row[MOST_X] + limit
     return across and row[LEAST_Y] - limit <= y <= row[MOST_Y] + limit
 
 
-@inlined
-def closest(lanes: Lanes, x: float, y: float, heading: float, guess: int) -> tuple[int, float, float]:
+@kernel_inline
+def closest(lanes: NetworkLanes, x: float, y: float, heading: float, guess: int) -> tuple[int, float, float]:
     """The lane nearest in position and heading, the first among equals, and (s, r) on it [m]. A good guess saves most
     of the work."""
     # Arcs of one roundabout share a centre, and so the polar coordinates of the point.

@@ -26,7 +26,6 @@ __all__ = [
     "IDS",
     "LANE_HEADING",
     "LATERAL_SPEED",
-    "LAW",
     "LEAST_X",
     "LEAST_Y",
     "LEAVES",
@@ -47,6 +46,7 @@ __all__ = [
     "SINE",
     "STRAIGHT",
     "TO",
+    "USES_CONTROLLERS",
     "YAW_RATE",
     "YIELDS",
     "F",
@@ -102,7 +102,7 @@ ALONG, ACROSS, LATERAL_SPEED, YAW_RATE = range(layout.F, layout.F + 4)
 slip, its lateral speed [m/s] and yaw rate [rad/s]."""
 F = layout.F + 4
 
-ROUTE, ROUTE_END, YIELDS, FRAMES, LAW, DYNAMICAL = range(layout.G, layout.G + 6)
+ROUTE, ROUTE_END, YIELDS, FRAMES, USES_CONTROLLERS, DYNAMICAL = range(layout.G, layout.G + 6)
 """Rows of `g` beyond those of a straight highway.
 
 ROUTE, ROUTE_END: the next entry of a vehicle's route, and the one after its last, -1 without a route. YIELDS: whether

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import kernel_no_refcount
 from dynamics.highway_simulator.layout import LANE_LENGTH
-from dynamics.road_networks.geometry.lanes import Lanes, closest, heading_at, local, place
+from dynamics.road_networks.geometry.lanes import NetworkLanes, closest, heading_at, local, place
 from dynamics.road_networks.geometry.layout import (
     ACROSS_X,
     ACROSS_Y,
@@ -31,8 +31,8 @@ _SAMPLES = 9
 """Number of points of a lane from which its enclosing circle is computed."""
 
 
-@uncounted
-def circles_of(lanes: Lanes, circles: FloatArray) -> None:
+@kernel_no_refcount
+def circles_of(lanes: NetworkLanes, circles: FloatArray) -> None:
     """A circle around the centre line of each lane: x, y and radius [m], (n, 3), written."""
     for lane in range(circles.shape[0]):
         length, low_x, low_y, high_x, high_y = lanes.rows[lane, LANE_LENGTH], np.inf, np.inf, -np.inf, -np.inf
@@ -44,15 +44,19 @@ def circles_of(lanes: Lanes, circles: FloatArray) -> None:
         circles[lane, 2] = 0.5 * math.hypot(high_x - low_x, high_y - low_y) + 0.6 * length / (_SAMPLES - 1)
 
 
-@uncounted
-def project_all(lanes: Lanes, numbers: IntArray, x: FloatArray, y: FloatArray, s: FloatArray, r: FloatArray) -> None:
+@kernel_no_refcount
+def project_all(
+    lanes: NetworkLanes, numbers: IntArray, x: FloatArray, y: FloatArray, s: FloatArray, r: FloatArray
+) -> None:
     """(s, r) of points on lanes [m], written."""
     for k in range(numbers.size):
         s[k], r[k] = local(lanes, numbers[k], x[k], y[k])
 
 
-@uncounted
-def position_all(lanes: Lanes, numbers: IntArray, s: FloatArray, r: FloatArray, x: FloatArray, y: FloatArray) -> None:
+@kernel_no_refcount
+def position_all(
+    lanes: NetworkLanes, numbers: IntArray, s: FloatArray, r: FloatArray, x: FloatArray, y: FloatArray
+) -> None:
     """(x, y) of places on lanes [m], written."""
     for k in range(numbers.size):
         row = lanes.rows[numbers[k]]
@@ -66,15 +70,15 @@ def position_all(lanes: Lanes, numbers: IntArray, s: FloatArray, r: FloatArray, 
         y[k] += r[k] * across_y
 
 
-@uncounted
-def heading_all(lanes: Lanes, numbers: IntArray, s: FloatArray, out: FloatArray) -> None:
+@kernel_no_refcount
+def heading_all(lanes: NetworkLanes, numbers: IntArray, s: FloatArray, out: FloatArray) -> None:
     """Headings of lanes at s [rad], written."""
     for k in range(numbers.size):
         out[k] = heading_at(lanes, numbers[k], s[k])
 
 
-@uncounted
-def curvature_all(lanes: Lanes, numbers: IntArray, s: FloatArray, out: FloatArray) -> None:
+@kernel_no_refcount
+def curvature_all(lanes: NetworkLanes, numbers: IntArray, s: FloatArray, out: FloatArray) -> None:
     """Curvatures of lanes at s [rad/m], written: per length of the centre line itself, for a sine too."""
     for k in range(numbers.size):
         row, shape = lanes.rows[numbers[k]], lanes.ids[numbers[k], SHAPE]
@@ -88,9 +92,9 @@ def curvature_all(lanes: Lanes, numbers: IntArray, s: FloatArray, out: FloatArra
             out[k] = bend / (1 + slope * slope) ** 1.5
 
 
-@uncounted
+@kernel_no_refcount
 def closest_all(
-    lanes: Lanes,
+    lanes: NetworkLanes,
     x: FloatArray,
     y: FloatArray,
     heading: FloatArray,

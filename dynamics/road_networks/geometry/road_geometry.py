@@ -25,7 +25,7 @@ from dynamics.errors import ConfigError, SceneError
 from dynamics.highway_simulator.arithmetic import sums_of_numpy
 from dynamics.highway_simulator.layout import LANE_LENGTH, LANE_WIDTH
 from dynamics.highway_simulator.loops import addresses
-from dynamics.road_networks.geometry.lanes import Lanes
+from dynamics.road_networks.geometry.lanes import NetworkLanes
 from dynamics.road_networks.geometry.layout import COUNT, ID, SHAPE, STRAIGHT
 from dynamics.road_networks.geometry.network import Network, index_of, network_of
 from dynamics.road_networks.geometry.points import closest_all, curvature_all, heading_all, position_all, project_all
@@ -81,7 +81,7 @@ class RoadGeometry:
 
     names: tuple[LaneName, ...]
     network: Network
-    lanes: Lanes
+    lanes: NetworkLanes
     after: tuple[tuple[int, ...], ...]
     over: IntArray
 
@@ -104,7 +104,7 @@ class RoadGeometry:
         if not names:
             raise SceneError("the network has no lanes")
         after = tuple(tuple(int(k) for k in row if k >= 0) for row in continuations_of(road)[0])
-        lanes = Lanes(sums_of_numpy()[0], addresses(), network.lanes, network.ids, network.near)
+        lanes = NetworkLanes(sums_of_numpy()[0], addresses(), network.lanes, network.ids, network.near)
         return cls(names, network, lanes, after, leads_over(road))
 
     @property

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.layout import LANE, TARGET, X, Y
-from dynamics.road_networks.geometry.lanes import Lanes, after_end, distance, local, place
+from dynamics.road_networks.geometry.lanes import NetworkLanes, after_end, distance, local, place
 from dynamics.road_networks.geometry.layout import ACROSS, ALONG, COUNT, ID, ROAD, ROUTE, ROUTE_END, TO
 from dynamics.road_networks.geometry.network import Network
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["Traffic", "follow_road", "on_lane_of"]
+__all__ = ["NetworkTraffic", "follow_road", "on_lane_of"]
 
 
-class Traffic(NamedTuple):
+class NetworkTraffic(NamedTuple):
     """m bodies of one scene on a network.
 
     Attributes
@@ -25,7 +25,7 @@ class Traffic(NamedTuple):
     bodies : number of bodies present, at most m.
     """
 
-    lanes: Lanes
+    lanes: NetworkLanes
     network: Network
     f: FloatArray
     g: IntArray
@@ -34,8 +34,8 @@ class Traffic(NamedTuple):
     bodies: int
 
 
-@inlined
-def on_lane_of(traffic: Traffic, i: int, lane: int) -> tuple[float, float]:
+@kernel_inline
+def on_lane_of(traffic: NetworkTraffic, i: int, lane: int) -> tuple[float, float]:
     """(s, r) of a body on a lane [m]; stored values for its own lane."""
     f = traffic.f
     if lane == traffic.g[LANE, i]:
@@ -43,8 +43,8 @@ def on_lane_of(traffic: Traffic, i: int, lane: int) -> tuple[float, float]:
     return local(traffic.lanes, lane, f[X, i], f[Y, i])
 
 
-@uncounted
-def _entered(traffic: Traffic, lane: int, road: int, wanted: int, x: float, y: float) -> tuple[int, float]:
+@kernel_no_refcount
+def _entered(traffic: NetworkTraffic, lane: int, road: int, wanted: int, x: float, y: float) -> tuple[int, float]:
     """The lane of the next road that follows a lane, and its distance from a point [m]. If both roads have as many
     lanes, it is the lane of the same index, or the `wanted` one (-1 for none); else the closest lane."""
     lanes, roads = traffic.lanes, traffic.network.roads
@@ -60,8 +60,8 @@ def _entered(traffic: Traffic, lane: int, road: int, wanted: int, x: float, y: f
     return best, least
 
 
-@uncounted
-def _follow_on(traffic: Traffic, i: int, lane: int, s: float) -> None:
+@kernel_no_refcount
+def _follow_on(traffic: NetworkTraffic, i: int, lane: int, s: float) -> None:
     """`follow_road` for a vehicle at the end of its target lane."""
     lanes, network, g, routes = traffic.lanes, traffic.network, traffic.g, traffic.routes
     node, following, wanted = lanes.ids[lane, TO], -1, -1
@@ -85,8 +85,8 @@ def _follow_on(traffic: Traffic, i: int, lane: int, s: float) -> None:
     g[TARGET, i] = best
 
 
-@inlined
-def follow_road(traffic: Traffic, i: int) -> None:
+@kernel_inline
+def follow_road(traffic: NetworkTraffic, i: int) -> None:
     """At the end of a vehicle's target lane, choose the next one: that of its route, or the closest."""
     lane = traffic.g[TARGET, i]
     s = on_lane_of(traffic, i, lane)[0]

@@ -9,9 +9,9 @@ import numpy as np
 from dynamics.road_networks.geometry.network import index_of
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["SETTLED", "continuations_of", "leads_over"]
+__all__ = ["RECENTRED_DISTANCE", "continuations_of", "leads_over"]
 
-SETTLED = 25.0
+RECENTRED_DISTANCE = 25.0
 """Distance after which a vehicle that has entered a lane from beside it is back at the centre of the lane [m]."""
 _SLACK, _STRAIGHT, _BESIDE, _PASSES = 1.0, 0.1, 0.3, 3
 _TOUCH = 2.5
@@ -85,7 +85,7 @@ def _entries(table: IntArray, ends: FloatArray, lengths: FloatArray) -> FloatArr
     entries = np.zeros((len(table), 3))
     for _ in range(_PASSES):
         for k, row in enumerate(table):
-            inherited = entries[k, 1:] if lengths[k] < SETTLED else np.zeros(2)
+            inherited = entries[k, 1:] if lengths[k] < RECENTRED_DISTANCE else np.zeros(2)
             for lane, (s, r, slack) in zip(row, ends[k], strict=True):
                 if lane >= 0:
                     entries[lane, 0] = min(entries[lane, 0], s)

@@ -10,51 +10,51 @@ from __future__ import annotations
 
 import math
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import kernel_no_refcount
 from dynamics.highway_simulator.layout import LANE_LENGTH, LANE_LIMIT
-from dynamics.road_networks.geometry.lanes import Lanes, local, place
+from dynamics.road_networks.geometry.lanes import NetworkLanes, local, place
 from dynamics.road_networks.geometry.layout import ROAD
-from dynamics.road_networks.reachable.continuations import SETTLED
-from dynamics.road_networks.reachable.standing import ALIGNED, Subject, stand
+from dynamics.road_networks.reachable.continuations import RECENTRED_DISTANCE
+from dynamics.road_networks.reachable.standing import ALIGNED, NetworkVehicle, add_present_strips
 from dynamics.road_networks.reachable.strips import (
-    BACK,
-    BEFORE,
+    BODY_HALF,
+    CENTRED_FROM,
+    CENTRED_HALF,
     FAR,
     FRONT,
-    HALF,
     HIGH,
-    KEEP,
     LOW,
     NEAR,
     START,
-    Conduct,
+    TURN_IN_DISTANCE,
+    DrivingBounds,
+    LaneContinuations,
     Strip,
     Strips,
-    Ways,
     add,
+    body_half,
+    centred_half,
     curvature,
-    half_of,
-    keep_of,
     steepness,
-    stopping_way,
+    stopping_distance_bound,
 )
 from dynamics.state import FloatArray, IntArray, Vehicle
 
-__all__ = ["reach", "spread"]
+__all__ = ["add_all_strips", "distance_bounds"]
 
 _WIDTH = int(Vehicle.WIDTH)
 _STRAIGHT = math.cos(ALIGNED)
-_STANDS = 0.5
+_WAITING_SPEED = 0.5
 """A vehicle slower than this that keeps to a lane that ends waits there until the vehicles beside it have passed
 [m/s]."""
-_CREEPS, _GAIN = 3.0, 0.34
-"""Below the speed `_CREEPS` [m/s] a vehicle can steer so hard that only the share `_GAIN` of the distance driven is
+_SLOW_SPEED, _GAIN = 3.0, 0.34
+"""Below the speed `_SLOW_SPEED` [m/s] a vehicle can steer so hard that only the share `_GAIN` of the distance driven is
 along its lane."""
-_TURNS, _GAIN_OVER = 16.0, 0.1
+_SLOW_SPEED_BESIDE, _GAIN_OVER = 16.0, 0.1
 """The same for a vehicle that may change to the neighbouring lane."""
 
 
-@uncounted
+@kernel_no_refcount
 def _swap(strips: Strips, j: int, k: int) -> None:
     """Exchange two strips."""
     marks, numbers = strips.marks, strips.numbers
@@ -64,8 +64,8 @@ def _swap(strips: Strips, j: int, k: int) -> None:
         numbers[j, c], numbers[k, c] = numbers[k, c], numbers[j, c]
 
 
-@uncounted
-def _chain(ways: Ways, strips: Strips, first: int, count: int) -> None:
+@kernel_no_refcount
+def _link_parents(ways: LaneContinuations, strips: Strips, first: int, count: int) -> None:
     """Link the strips of a vehicle that is just before a lane: where it is also on a lane that leads there, that is the
     parent. Such strips are moved to the end."""
     marks, numbers = strips.marks, strips.numbers
@@ -81,59 +81,74 @@ def _chain(ways: Ways, strips: Strips, first: int, count: int) -> None:
                     marks[j, 2] = k
 
 
-@uncounted
-def _half_on(lanes: Lanes, conduct: Conduct, row: FloatArray, strips: Strips, j: int, lane: int) -> float:
+@kernel_no_refcount
+def _half_on(lanes: NetworkLanes, conduct: DrivingBounds, row: FloatArray, strips: Strips, j: int, lane: int) -> float:
     """Half of a body's length along a lane that it reaches from strip j [m]. A body that is at an angle to its lane now
     may still be so there."""
-    askew = strips.numbers[j, HALF] - half_of(lanes, strips.marks[j, 1], row, conduct)
-    return half_of(lanes, lane, row, conduct) + max(askew, 0.0)
+    askew = strips.numbers[j, BODY_HALF] - body_half(lanes, strips.marks[j, 1], row, conduct)
+    return body_half(lanes, lane, row, conduct) + max(askew, 0.0)
 
 
-@uncounted
-def _comes_over(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, strips: Strips, j: int) -> Strip:
+@kernel_no_refcount
+def _neighbour_strip(
+    lanes: NetworkLanes, ways: LaneContinuations, conduct: DrivingBounds, row: FloatArray, strips: Strips, j: int
+) -> Strip:
     """The strip of the lane beside one that ends, strip j. A vehicle may change to it at any place, and strip j is
     widened by the room for that."""
     lane, numbers = strips.marks[j, 1], strips.numbers[j]
     beside = ways.over[lane]
     x, y = place(lanes, lane, 0.0)
     s, r = local(lanes, beside, x, y)
-    keep = keep_of(lanes, beside, row, conduct)
+    keep = centred_half(lanes, beside, row, conduct)
     numbers[LOW], numbers[HIGH] = min(numbers[LOW], -r - keep), max(numbers[HIGH], keep - r)
-    numbers[BACK] = numbers[FAR] + lanes.rows[lane, LANE_LENGTH] + SETTLED
+    numbers[CENTRED_FROM] = numbers[FAR] + lanes.rows[lane, LANE_LENGTH] + RECENTRED_DISTANCE
     low, high = min(-keep, numbers[LOW] + r), max(keep, numbers[HIGH] + r)
     near, far, start = numbers[NEAR] - s, numbers[FAR] - s, numbers[START] + s
     half = _half_on(lanes, conduct, row, strips, j, beside)
-    return Strip(strips.marks[j, 0], beside, j, near, far, low, high, half, start, numbers[BACK], keep, numbers[FRONT])
+    return Strip(
+        strips.marks[j, 0], beside, j, near, far, low, high, half, start, numbers[CENTRED_FROM], keep, numbers[FRONT]
+    )
 
 
-@uncounted
-def _goes_on(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, strips: Strips, j: int, k: int) -> Strip:
+@kernel_no_refcount
+def _following_strip(
+    lanes: NetworkLanes,
+    ways: LaneContinuations,
+    conduct: DrivingBounds,
+    row: FloatArray,
+    strips: Strips,
+    j: int,
+    k: int,
+) -> Strip:
     """The strip of the k-th lane after that of strip j."""
     lane, numbers = strips.marks[j, 1], strips.numbers[j]
     after, long = ways.after[lane, k], lanes.rows[lane, LANE_LENGTH]
     s, r, slack = ways.ends[lane, k, 0], ways.ends[lane, k, 1], ways.ends[lane, k, 2]
-    near, far, back = numbers[NEAR] + long - s - slack, numbers[FAR] + long - s + slack, numbers[BACK]
-    keep = keep_of(lanes, after, row, conduct)
+    near, far, back = numbers[NEAR] + long - s - slack, numbers[FAR] + long - s + slack, numbers[CENTRED_FROM]
+    keep = centred_half(lanes, after, row, conduct)
     low, high = -keep, keep
     if numbers[FAR] + long < back and ways.over[lane] < 0:
         # A vehicle beside the centre of its lane is as far beside the centre of the next one. Its body keeps its size.
-        less = numbers[KEEP] - keep
+        less = numbers[CENTRED_HALF] - keep
         if strips.marks[j, 2] == -1:
             less = min(less, 0.0)
         low, high = min(low, numbers[LOW] + less), max(high, numbers[HIGH] - less)
     if slack > 0:
         # A vehicle that is beside a lane reaches its centre while it drives along it.
         low, high = low + min(r, 0.0) - slack, high + max(r, 0.0) + slack
-        back = numbers[FAR] + long + SETTLED
+        back = numbers[FAR] + long + RECENTRED_DISTANCE
     half = _half_on(lanes, conduct, row, strips, j, after)
     # A vehicle that is about to enter the lane, from any lane, counts as on it from there on.
-    start = ways.entries[after, 0] - BEFORE
+    start = ways.entries[after, 0] - TURN_IN_DISTANCE
     return Strip(strips.marks[j, 0], after, j, near, far, low, high, half, start, back, keep, numbers[FRONT])
 
 
-@uncounted
-def _pace(lanes: Lanes, conduct: Conduct, lane: int, off: float, drive: FloatArray) -> None:
-    """Update a row of `drive` (see `spread`) for a lane on which the vehicle may be `off` beside the centre [m]."""
+@kernel_no_refcount
+def _update_distance_bounds(
+    lanes: NetworkLanes, conduct: DrivingBounds, lane: int, off: float, drive: FloatArray
+) -> None:
+    """Update a row of `drive` (see `add_all_strips`) for a lane on which the vehicle may be `off` beside the centre
+    [m]."""
     limit, share = lanes.rows[lane, LANE_LIMIT], min(curvature(lanes, lane) * off, 0.5)
     drive[0] = max(drive[0], limit if limit < math.inf else conduct.top)
     drive[1], drive[2] = min(drive[1], _STRAIGHT / (1 + share)), max(drive[2], 1 / (1 - share))
@@ -141,12 +156,12 @@ def _pace(lanes: Lanes, conduct: Conduct, lane: int, off: float, drive: FloatArr
     drive[1] = min(drive[1], _STRAIGHT / math.sqrt(1 + slope * slope))
 
 
-@uncounted
-def _lead_on(
-    lanes: Lanes,
-    ways: Ways,
-    conduct: Conduct,
-    subject: Subject,
+@kernel_no_refcount
+def _add_next_strips(
+    lanes: NetworkLanes,
+    ways: LaneContinuations,
+    conduct: DrivingBounds,
+    subject: NetworkVehicle,
     strips: Strips,
     drive: FloatArray,
     first: int,
@@ -161,13 +176,13 @@ def _lead_on(
     The number of strips.
     """
     lane, row, route, numbers = strips.marks[j, 1], subject.row, subject.route, strips.numbers[j]
-    stop = stopping_way(row, conduct)
-    keeps = strips.marks[j, 2] == -1 and max(numbers[HIGH], -numbers[LOW]) <= numbers[KEEP]
-    if ways.over[lane] >= 0 and row[3] <= _STANDS and keeps:
+    stop = stopping_distance_bound(row, conduct)
+    keeps = strips.marks[j, 2] == -1 and max(numbers[HIGH], -numbers[LOW]) <= numbers[CENTRED_HALF]
+    if ways.over[lane] >= 0 and row[3] <= _WAITING_SPEED and keeps:
         return count
     if ways.over[lane] >= 0:
-        drive[3], drive[4] = _TURNS, _GAIN_OVER
-        count = add(strips, first, count, _comes_over(lanes, ways, conduct, row, strips, j), stop)
+        drive[3], drive[4] = _SLOW_SPEED_BESIDE, _GAIN_OVER
+        count = add(strips, first, count, _neighbour_strip(lanes, ways, conduct, row, strips, j), stop)
     known = subject.limited and route[lanes.ids[lane, ROAD]] < 2
     for anywhere in range(2):
         some = False
@@ -175,17 +190,17 @@ def _lead_on(
             after = ways.after[lane, k]
             if after >= 0 and not (known and anywhere == 0 and route[lanes.ids[after, ROAD]] == 0):
                 some = True
-                count = add(strips, first, count, _goes_on(lanes, ways, conduct, row, strips, j, k), stop)
+                count = add(strips, first, count, _following_strip(lanes, ways, conduct, row, strips, j, k), stop)
         if some or not known:
             break
     return count
 
 
-@uncounted
-def spread(
-    lanes: Lanes,
-    ways: Ways,
-    conduct: Conduct,
+@kernel_no_refcount
+def add_all_strips(
+    lanes: NetworkLanes,
+    ways: LaneContinuations,
+    conduct: DrivingBounds,
     rows: FloatArray,
     own: IntArray,
     routes: IntArray,
@@ -213,24 +228,24 @@ def spread(
         first, routed = count, False
         for k in range(routes.shape[1]):
             routed = routed or routes[i, k] > 0
-        subject = Subject(i, rows[i], own[i], routes[i], routed)
-        count = stand(lanes, ways, conduct, subject, strips, first)
-        _chain(ways, strips, first, min(count, room))
-        drive[i, 0], drive[i, 1], drive[i, 2], drive[i, 3], drive[i, 4] = 0.0, _STRAIGHT, 1.0, _CREEPS, _GAIN
+        subject = NetworkVehicle(i, rows[i], own[i], routes[i], routed)
+        count = add_present_strips(lanes, ways, conduct, subject, strips, first)
+        _link_parents(ways, strips, first, min(count, room))
+        drive[i, 0], drive[i, 1], drive[i, 2], drive[i, 3], drive[i, 4] = 0.0, _STRAIGHT, 1.0, _SLOW_SPEED, _GAIN
         j = first
         while j < min(count, room):
             off = max(-numbers[j, LOW], numbers[j, HIGH]) - 0.5 * rows[i, _WIDTH]
-            _pace(lanes, conduct, marks[j, 1], off, drive[i])
-            count = _lead_on(lanes, ways, conduct, subject, strips, drive[i], first, count, j)
+            _update_distance_bounds(lanes, conduct, marks[j, 1], off, drive[i])
+            count = _add_next_strips(lanes, ways, conduct, subject, strips, drive[i], first, count, j)
             j += 1
         if count > room:
             return count
     return count
 
 
-@uncounted
-def reach(
-    conduct: Conduct, rows: FloatArray, drive: FloatArray, dt: float, least: FloatArray, most: FloatArray
+@kernel_no_refcount
+def distance_bounds(
+    conduct: DrivingBounds, rows: FloatArray, drive: FloatArray, dt: float, least: FloatArray, most: FloatArray
 ) -> None:
     """Least and greatest distance that each vehicle may have driven by each frame, in metres of s: `least` and `most`,
     (m, K), written."""

@@ -7,17 +7,17 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from dynamics.compiled import uncounted
-from dynamics.road_networks.reachable.strips import SEVERAL, Ways
+from dynamics.compiled import kernel_no_refcount
+from dynamics.road_networks.reachable.strips import SEVERAL, LaneContinuations
 from dynamics.state import IntArray
 
-__all__ = ["ranks_of", "rights_of"]
+__all__ = ["right_of_way_by_lane", "right_of_way_by_strip"]
 
 _LEAST = -(1 << 20)
 """Less than any right of way."""
 
 
-def rights_of(priorities: IntArray, ways: Ways) -> IntArray:
+def right_of_way_by_lane(priorities: IntArray, ways: LaneContinuations) -> IntArray:
     """Right of way in each lane of a network, (n,): of two vehicles that would meet, the one with less waits.
 
     Where the lanes' `priorities`, (n,), as `RegulatedRoad` uses them, differ, they are the result. Where all are equal,
@@ -33,8 +33,8 @@ def rights_of(priorities: IntArray, ways: Ways) -> IntArray:
     return in_ring - (ways.over >= 0)
 
 
-@uncounted
-def _best_before(ways: Ways, marks: IntArray, ranks: IntArray, j: int) -> int:
+@kernel_no_refcount
+def _best_before(ways: LaneContinuations, marks: IntArray, ranks: IntArray, j: int) -> int:
     """The greatest right of way of the strips of the same vehicle that lead to strip j."""
     best = _LEAST
     for k in range(marks.shape[0]):
@@ -47,8 +47,8 @@ def _best_before(ways: Ways, marks: IntArray, ranks: IntArray, j: int) -> int:
     return best
 
 
-@uncounted
-def ranks_of(ways: Ways, rights: IntArray, marks: IntArray, ranks: IntArray) -> None:
+@kernel_no_refcount
+def right_of_way_by_strip(ways: LaneContinuations, rights: IntArray, marks: IntArray, ranks: IntArray) -> None:
     """Right of way of a vehicle at each strip, (count,), written: the least of the lanes on its way there. If several
     ways lead there, the best of them counts."""
     for j in range(marks.shape[0]):

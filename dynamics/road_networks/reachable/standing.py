@@ -5,28 +5,28 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import wrap_to_pi
 from dynamics.highway_simulator.layout import LANE_LENGTH, LANE_WIDTH
-from dynamics.road_networks.geometry.footprints import Place, Rectangle, extent_of
-from dynamics.road_networks.geometry.lanes import Lanes, heading_at, local, unrolled
+from dynamics.road_networks.geometry.footprints import LanePoint, Rectangle, extent_of
+from dynamics.road_networks.geometry.lanes import NetworkLanes, heading_at, local, unrolled
 from dynamics.road_networks.geometry.layout import ROAD
-from dynamics.road_networks.reachable.continuations import SETTLED
+from dynamics.road_networks.reachable.continuations import RECENTRED_DISTANCE
 from dynamics.road_networks.reachable.strips import (
-    BEFORE,
-    Conduct,
+    TURN_IN_DISTANCE,
+    DrivingBounds,
+    LaneContinuations,
     Strip,
     Strips,
-    Ways,
     add,
-    front_of,
-    half_of,
+    body_front,
+    body_half,
+    centred_half,
     is_dead_end,
-    keep_of,
 )
 from dynamics.state import FloatArray, IntArray, Vehicle
 
-__all__ = ["ALIGNED", "Subject", "stand"]
+__all__ = ["ALIGNED", "NetworkVehicle", "add_present_strips"]
 
 _LENGTH, _WIDTH = int(Vehicle.LENGTH), int(Vehicle.WIDTH)
 ALIGNED, _TURNING, _OVERLAY = 0.5, 0.9, 2.0
@@ -37,7 +37,7 @@ _SWEEP = 0.5
 """How much further a body may reach while it turns into a lane from beside it [m]."""
 
 
-class Subject(NamedTuple):
+class NetworkVehicle(NamedTuple):
     """A vehicle.
 
     Attributes
@@ -76,35 +76,42 @@ class _Pose(NamedTuple):
     within: bool
 
 
-@uncounted
-def _pose(lanes: Lanes, ways: Ways, conduct: Conduct, row: FloatArray, lane: int) -> _Pose:
+@kernel_no_refcount
+def _pose(lanes: NetworkLanes, ways: LaneContinuations, conduct: DrivingBounds, row: FloatArray, lane: int) -> _Pose:
     """The pose of a vehicle (7,) on a lane."""
     s, r = local(lanes, lane, row[0], row[1])
     s = unrolled(lanes, lane, s)
-    long, keep = lanes.rows[lane, LANE_LENGTH], keep_of(lanes, lane, row, conduct)
+    long, keep = lanes.rows[lane, LANE_LENGTH], centred_half(lanes, lane, row, conduct)
     angle = wrap_to_pi(row[2] - heading_at(lanes, lane, min(max(s, 0.0), long)))
     body = Rectangle(0.0, math.cos(row[2]), math.sin(row[2]), 0.5 * row[_LENGTH], 0.5 * row[_WIDTH])
-    extent = extent_of(lanes, lane, Place(row[0], row[1], s, r), body)
-    half = max(extent.last - s, s - extent.first, half_of(lanes, lane, row, conduct))
-    front, within = max(extent.last - s, front_of(row)), ways.entries[lane, 0] - BEFORE <= s
+    extent = extent_of(lanes, lane, LanePoint(row[0], row[1], s, r), body)
+    half = max(extent.last - s, s - extent.first, body_half(lanes, lane, row, conduct))
+    front, within = max(extent.last - s, body_front(row)), ways.entries[lane, 0] - TURN_IN_DISTANCE <= s
     within = within and (s <= long or is_dead_end(ways, lane))
     return _Pose(s, r, angle, extent.low, extent.high, half, front, keep, within)
 
 
-@inlined
-def _off_route(lanes: Lanes, subject: Subject, lane: int) -> bool:
+@kernel_inline
+def _off_route(lanes: NetworkLanes, subject: NetworkVehicle, lane: int) -> bool:
     """Whether a lane is off the route of a vehicle that keeps to its route."""
     return subject.limited and subject.route[lanes.ids[lane, ROAD]] == 0
 
 
-@uncounted
-def _strip_of(subject: Subject, lane: int, at: _Pose, low: float, high: float, back: float) -> Strip:
+@kernel_no_refcount
+def _strip_of(subject: NetworkVehicle, lane: int, at: _Pose, low: float, high: float, back: float) -> Strip:
     """The strip of a lane that a vehicle is on."""
     return Strip(subject.number, lane, -1, -at.s, -at.s, low, high, at.half, min(at.s, 0.0), back, at.keep, at.front)
 
 
-@uncounted
-def _kept(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strips: Strips, first: int) -> int:
+@kernel_no_refcount
+def _kept(
+    lanes: NetworkLanes,
+    ways: LaneContinuations,
+    conduct: DrivingBounds,
+    subject: NetworkVehicle,
+    strips: Strips,
+    first: int,
+) -> int:
     """Add the lanes to which a vehicle keeps, of its route or of all. If it has reached none of them yet it is between
     lanes, and none counts.
 
@@ -123,8 +130,15 @@ def _kept(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strips: 
     return count if some else first
 
 
-@uncounted
-def _entered(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strips: Strips, first: int) -> int:
+@kernel_no_refcount
+def _entered(
+    lanes: NetworkLanes,
+    ways: LaneContinuations,
+    conduct: DrivingBounds,
+    subject: NetworkVehicle,
+    strips: Strips,
+    first: int,
+) -> int:
     """Add the lanes that a vehicle is entering from beside them, and then also the lane that it is on. See `_kept` for
     the result."""
     count, some = first, False
@@ -135,25 +149,39 @@ def _entered(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strip
         low, high = at.low, at.high
         if lane == subject.own:
             low, high = min(low, -at.keep), max(high, at.keep)
-            count = add(strips, first, count, _strip_of(subject, lane, at, low, high, SETTLED), 0.0)
+            count = add(strips, first, count, _strip_of(subject, lane, at, low, high, RECENTRED_DISTANCE), 0.0)
             continue
         least, most = -at.keep + ways.entries[lane, 1], at.keep + ways.entries[lane, 2]
         if at.within and abs(at.angle) <= _TURNING and low >= least and high <= most:
             low, high = max(least, min(low - _SWEEP, -at.keep)), min(most, max(high + _SWEEP, at.keep))
-            count = add(strips, first, count, _strip_of(subject, lane, at, low, high, SETTLED), 0.0)
+            count = add(strips, first, count, _strip_of(subject, lane, at, low, high, RECENTRED_DISTANCE), 0.0)
             some = True
     return count if some else first
 
 
-@uncounted
-def _chosen(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strips: Strips, first: int) -> int:
+@kernel_no_refcount
+def _chosen(
+    lanes: NetworkLanes,
+    ways: LaneContinuations,
+    conduct: DrivingBounds,
+    subject: NetworkVehicle,
+    strips: Strips,
+    first: int,
+) -> int:
     """Add the lanes to which a vehicle keeps, or else those that it is entering. See `_kept` for the result."""
     count = _kept(lanes, ways, conduct, subject, strips, first)
     return count if count > first else _entered(lanes, ways, conduct, subject, strips, first)
 
 
-@uncounted
-def _touched(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strips: Strips, first: int) -> int:
+@kernel_no_refcount
+def _touched(
+    lanes: NetworkLanes,
+    ways: LaneContinuations,
+    conduct: DrivingBounds,
+    subject: NetworkVehicle,
+    strips: Strips,
+    first: int,
+) -> int:
     """Add the lanes that a vehicle between lanes touches. See `_kept` for the result."""
     count = first
     for lane in range(lanes.rows.shape[0]):
@@ -165,19 +193,26 @@ def _touched(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strip
             elif not (abs(at.r) <= _OVERLAY and at.within and abs(at.angle) <= ALIGNED):
                 continue
         low, high = min(at.low, -at.keep), max(at.high, at.keep)
-        count = add(strips, first, count, _strip_of(subject, lane, at, low, high, SETTLED), 0.0)
+        count = add(strips, first, count, _strip_of(subject, lane, at, low, high, RECENTRED_DISTANCE), 0.0)
     return count
 
 
-@uncounted
-def stand(lanes: Lanes, ways: Ways, conduct: Conduct, subject: Subject, strips: Strips, first: int) -> int:
+@kernel_no_refcount
+def add_present_strips(
+    lanes: NetworkLanes,
+    ways: LaneContinuations,
+    conduct: DrivingBounds,
+    subject: NetworkVehicle,
+    strips: Strips,
+    first: int,
+) -> int:
     """Add the strips of the lanes that a vehicle is on. Lanes of its route come before all others.
 
     Returns
     -------
     The number of strips.
     """
-    anywhere = Subject(subject.number, subject.row, subject.own, subject.route, False)
+    anywhere = NetworkVehicle(subject.number, subject.row, subject.own, subject.route, False)
     count = first
     if subject.limited:
         count = _chosen(lanes, ways, conduct, subject, strips, first)

@@ -14,57 +14,57 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import inlined, uncounted
-from dynamics.road_networks.geometry.lanes import Lanes
+from dynamics.compiled import kernel_inline, kernel_no_refcount
+from dynamics.road_networks.geometry.lanes import NetworkLanes
 from dynamics.road_networks.geometry.layout import AMPLITUDE, CIRCULAR, PULSATION, RADIUS, SHAPE, SINE
 from dynamics.state import FloatArray, IntArray, Vehicle
 
 __all__ = [
     "ALWAYS",
-    "BACK",
-    "BEFORE",
+    "BODY_HALF",
+    "CENTRED_FROM",
+    "CENTRED_HALF",
     "FAR",
     "FRONT",
-    "HALF",
     "HIGH",
-    "KEEP",
     "LOW",
     "NEAR",
     "SEVERAL",
     "START",
     "STRIP",
-    "Conduct",
+    "TURN_IN_DISTANCE",
+    "DrivingBounds",
+    "LaneContinuations",
     "Strip",
     "Strips",
-    "Ways",
     "add",
+    "body_front",
+    "body_half",
     "bulge",
+    "centred_half",
     "curvature",
     "empty_strips",
-    "front_of",
-    "half_of",
     "is_dead_end",
-    "keep_of",
     "steepness",
-    "stopping_way",
+    "stopping_distance_bound",
 ]
 
-NEAR, FAR, LOW, HIGH, HALF, START, BACK, KEEP, FRONT = range(9)
+NEAR, FAR, LOW, HIGH, BODY_HALF, START, CENTRED_FROM, CENTRED_HALF, FRONT = range(9)
 """Columns of the strips' numbers [m].
 
 NEAR, FAR: least and greatest distance to the start of the lane. LOW, HIGH: the band across the lane.
 HALF: half of the body's extent along the lane, anywhere in the band. START: least s of the centre of the body.
 BACK: distance after which a vehicle that entered from beside the lanes is back at their centre; KEEP: half of the band
 in which it is then.
-FRONT: how far the front is ahead of the centre, the greater of its present value and `front_of`. A vehicle that has to
-wait stays behind by this distance.
+FRONT: how far the front is ahead of the centre, the greater of its present value and `body_front`. A vehicle that has
+to wait stays behind by this distance.
 """
 STRIP = 9
 SEVERAL = -2
 """Parent of a strip to which several strips lead."""
 ALWAYS = 1e9
 """Stands for the whole length of the road [m]."""
-BEFORE = 3.0
+TURN_IN_DISTANCE = 3.0
 """Distance before the start of the next lane at which a vehicle may begin to turn into it [m]."""
 
 _LENGTH, _WIDTH = int(Vehicle.LENGTH), int(Vehicle.WIDTH)
@@ -79,7 +79,7 @@ _ASKEW = 0.2
 """Greatest later deviation of a body's heading from that of its lane [rad]."""
 
 
-class Conduct(NamedTuple):
+class DrivingBounds(NamedTuple):
     """Bounds on how the others drive.
 
     Attributes
@@ -96,7 +96,7 @@ class Conduct(NamedTuple):
     lean: float
 
 
-class Ways(NamedTuple):
+class LaneContinuations(NamedTuple):
     """How the n lanes of a network continue.
 
     Attributes
@@ -151,20 +151,20 @@ def empty_strips(count: int) -> Strips:
     return Strips(np.zeros((count, 3), np.int64), np.zeros((count, STRIP)))
 
 
-@uncounted
-def curvature(lanes: Lanes, lane: int) -> float:
+@kernel_no_refcount
+def curvature(lanes: NetworkLanes, lane: int) -> float:
     """Curvature of an arc, 0 for other lanes [1/m]."""
     return 1 / lanes.rows[lane, RADIUS] if lanes.ids[lane, SHAPE] == CIRCULAR else 0.0
 
 
-@uncounted
-def steepness(lanes: Lanes, lane: int) -> float:
+@kernel_no_refcount
+def steepness(lanes: NetworkLanes, lane: int) -> float:
     """Greatest slope of a sine relative to the line that it winds around; 0 for other lanes."""
     return abs(lanes.rows[lane, AMPLITUDE] * lanes.rows[lane, PULSATION]) if lanes.ids[lane, SHAPE] == SINE else 0.0
 
 
-@uncounted
-def bulge(lanes: Lanes, lane: int, row: FloatArray) -> float:
+@kernel_no_refcount
+def bulge(lanes: NetworkLanes, lane: int, row: FloatArray) -> float:
     """How much further a body that points along a curved lane reaches across it than across a straight one [m].
 
     On an arc the corners reach further. On a sine, r is measured across the line that the sine winds around. With
@@ -179,21 +179,21 @@ def bulge(lanes: Lanes, lane: int, row: FloatArray) -> float:
     return half * (math.sqrt(widest * widest - slope * slope * u * u) - 1) + corners * u
 
 
-@uncounted
-def keep_of(lanes: Lanes, lane: int, row: FloatArray, conduct: Conduct) -> float:
+@kernel_no_refcount
+def centred_half(lanes: NetworkLanes, lane: int, row: FloatArray, conduct: DrivingBounds) -> float:
     """How far a body reaches to either side while it keeps to the centre of a lane, with the drift on an arc [m]."""
     return 0.5 * row[_WIDTH] + conduct.sway + bulge(lanes, lane, row) + curvature(lanes, lane) * _DRIFT
 
 
-@inlined
-def front_of(row: FloatArray) -> float:
+@kernel_inline
+def body_front(row: FloatArray) -> float:
     """How far a body reaches ahead of its centre on a straight road, at the greatest angle that it may have later
     [m]."""
     return 0.5 * (row[_LENGTH] + row[_WIDTH] * _ASKEW)
 
 
-@uncounted
-def half_of(lanes: Lanes, lane: int, row: FloatArray, conduct: Conduct) -> float:
+@kernel_no_refcount
+def body_half(lanes: NetworkLanes, lane: int, row: FloatArray, conduct: DrivingBounds) -> float:
     """Greatest distance that a body at the centre of a lane reaches ahead of its own centre, or behind it, along the
     lane [m].
 
@@ -201,41 +201,42 @@ def half_of(lanes: Lanes, lane: int, row: FloatArray, conduct: Conduct) -> float
     """
     long, wide = row[_LENGTH], row[_WIDTH]
     askew = min(_ASKEW + math.atan(steepness(lanes, lane)), math.atan2(wide, long))
-    half = max(front_of(row), 0.5 * (long * math.cos(askew) + wide * math.sin(askew)))
+    half = max(body_front(row), 0.5 * (long * math.cos(askew) + wide * math.sin(askew)))
     bend = curvature(lanes, lane)
     if bend == 0.0:
         return half
     return math.atan2(half, 1 / bend - 0.5 * wide - conduct.sway - bend * _DRIFT) / bend
 
 
-@inlined
-def is_dead_end(ways: Ways, lane: int) -> bool:
+@kernel_inline
+def is_dead_end(ways: LaneContinuations, lane: int) -> bool:
     """Whether no lane continues a lane. A vehicle drives straight off its end, and s increases further."""
     return ways.after.shape[1] == 0 or ways.after[lane, 0] < 0
 
 
-@inlined
-def stopping_way(row: FloatArray, conduct: Conduct) -> float:
+@kernel_inline
+def stopping_distance_bound(row: FloatArray, conduct: DrivingBounds) -> float:
     """Upper bound on the distance that a vehicle drives until it stands, at its hardest braking and any frame rate
     [m]."""
     v = max(row[3], 0.0)
     return v * v / (2 * conduct.braking) + v
 
 
-@inlined
+@kernel_inline
 def _repeats(row: FloatArray, strip: Strip, stop: float) -> bool:
     """Whether a strip, a later pass over the lane of another, lies within that one at all times. The vehicle may stop
     before it leaves the start of the other, so that one remains reachable."""
     within = row[FAR] + row[START] >= stop and strip.near >= row[NEAR] and strip.start >= row[START] - _ROUNDING
     within = within and row[LOW] <= strip.low + _ROUNDING and row[HIGH] >= strip.high - _ROUNDING
-    within = within and row[HALF] >= strip.half - _ROUNDING and row[FRONT] >= strip.front - _ROUNDING
-    centred = max(strip.high, -strip.low) <= row[KEEP] + _ROUNDING
-    return within and (centred or strip.back - strip.near <= row[BACK] - row[NEAR] + _ROUNDING)
+    within = within and row[BODY_HALF] >= strip.half - _ROUNDING and row[FRONT] >= strip.front - _ROUNDING
+    centred = max(strip.high, -strip.low) <= row[CENTRED_HALF] + _ROUNDING
+    return within and (centred or strip.back - strip.near <= row[CENTRED_FROM] - row[NEAR] + _ROUNDING)
 
 
-@uncounted
+@kernel_no_refcount
 def add(strips: Strips, first: int, count: int, strip: Strip, stop: float) -> int:
-    """Store a strip, unless another strip of the vehicle contains it. `stop` is the `stopping_way` of the vehicle.
+    """Store a strip, unless another strip of the vehicle contains it. `stop` is the `stopping_distance_bound` of the
+    vehicle.
 
     Returns
     -------
@@ -248,7 +249,7 @@ def add(strips: Strips, first: int, count: int, strip: Strip, stop: float) -> in
         row = numbers[j]
         same = abs(row[NEAR] - strip.near) < _ROUNDING and abs(row[FAR] - strip.far) < _ROUNDING
         same = same and row[LOW] <= strip.low + _ROUNDING and row[HIGH] >= strip.high - _ROUNDING
-        same = same and row[HALF] >= strip.half - _ROUNDING
+        same = same and row[BODY_HALF] >= strip.half - _ROUNDING
         if same and marks[j, 2] >= 0 and marks[j, 2] != strip.parent:
             marks[j, 2] = SEVERAL
         if same or (strip.near > _LAP and _repeats(row, strip, stop)):
@@ -257,6 +258,10 @@ def add(strips: Strips, first: int, count: int, strip: Strip, stop: float) -> in
         marks[count, 0], marks[count, 1], marks[count, 2] = strip.vehicle, strip.lane, strip.parent
         numbers[count, NEAR], numbers[count, FAR] = strip.near, strip.far
         numbers[count, LOW], numbers[count, HIGH] = strip.low, strip.high
-        numbers[count, HALF], numbers[count, START] = strip.half, strip.start
-        numbers[count, BACK], numbers[count, KEEP], numbers[count, FRONT] = strip.back, strip.keep, strip.front
+        numbers[count, BODY_HALF], numbers[count, START] = strip.half, strip.start
+        numbers[count, CENTRED_FROM], numbers[count, CENTRED_HALF], numbers[count, FRONT] = (
+            strip.back,
+            strip.keep,
+            strip.front,
+        )
     return count + 1

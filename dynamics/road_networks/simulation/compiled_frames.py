@@ -14,9 +14,9 @@ from dynamics.road_networks.simulation.simulator import NetworkSimulator
 from dynamics.road_networks.simulation.supported_traffic import check_network
 from dynamics.state import BoolArray, FloatArray
 
-__all__ = ["CompiledFrames", "Watcher"]
+__all__ = ["CompiledFrames", "FramesCallback"]
 
-Watcher = Callable[[list[Any], FloatArray, BoolArray], None]
+FramesCallback = Callable[[list[Any], FloatArray, BoolArray], None]
 """A function that is called after the frames of a decision, with three arguments: the bodies of the road; their rows
 after each frame, (frames, m, 7) as of `NetworkSimulator.step`; and whether the ego is on the road after each frame,
 (frames,)."""
@@ -65,7 +65,7 @@ class CompiledFrames(gym.Wrapper[Any, Any, Any, Any]):
         super().__init__(env)
         self._base = base
         self._simulators: dict[int, NetworkSimulator] = {}
-        self.watchers: list[Watcher] = []
+        self.watchers: list[FramesCallback] = []
         self.exact = Sums.OTHER not in sums_of_numpy()
 
     def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:

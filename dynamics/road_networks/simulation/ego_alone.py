@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from highway_env.vehicle.controller import MDPVehicle
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import kernel_no_refcount
 from dynamics.errors import ConfigError, SceneError
 from dynamics.highway_simulator.arithmetic import Sums, sums_of_numpy
 from dynamics.highway_simulator.control import KP_A
@@ -34,23 +34,23 @@ from dynamics.road_networks.simulation.frame_kernels import (
     NetworkRules,
     NetworkWork,
     NetworkWorlds,
-    intend,
+    compute_controls,
     move,
     new_work,
     new_worlds,
     on_way,
 )
 from dynamics.road_networks.simulation.live import length_of_route, load_ego
-from dynamics.road_networks.traffic.regulation import Customs
+from dynamics.road_networks.traffic.regulation import TrafficRegulation
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["Alone", "Course", "alone_on", "drive"]
+__all__ = ["EgoManoeuvre", "EgoOnNetwork", "read_ego_on_network", "simulate_manoeuvre"]
 
 _REST = 1e-9
 """Speed up to which a vehicle counts as standing [m/s]."""
 
 
-class Course(NamedTuple):
+class EgoManoeuvre(NamedTuple):
     """A candidate manoeuvre of the ego.
 
     Attributes
@@ -69,7 +69,7 @@ class Course(NamedTuple):
     hard: float
 
 
-class Alone(NamedTuple):
+class EgoOnNetwork(NamedTuple):
     """The ego and its road. Scene 0 is the present, scene 1 the simulated manoeuvre."""
 
     machine: Machine
@@ -78,7 +78,7 @@ class Alone(NamedTuple):
     work: NetworkWork
 
 
-def alone_on(base: Any) -> Alone:
+def read_ego_on_network(base: Any) -> EgoOnNetwork:
     """The ego of an environment, unwrapped, with meta-actions.
 
     Raises
@@ -94,7 +94,7 @@ def alone_on(base: Any) -> Alone:
     frequency = base.config["simulation_frequency"]
     rules = NetworkRules(
         network=network_of(base.road.network),
-        customs=Customs(0, False, 0, 0),
+        customs=TrafficRegulation(0, False, 0, 0),
         numbers=(int(frequency // base.config["policy_frequency"]), 1),
         times=(1 / frequency, 1 / base.config["policy_frequency"]),
         target_speeds=np.array(base.vehicle.target_speeds, float),
@@ -105,14 +105,20 @@ def alone_on(base: Any) -> Alone:
     if Sums.OTHER in (sums, products):
         raise SceneError("numpy computes in a way that is not known here")
     worlds = new_worlds(2, 1, max(1, length_of_route(base)), 1)
-    alone = Alone(Machine(sums, products, addresses()), worlds, rules, new_work(1))
+    alone = EgoOnNetwork(Machine(sums, products, addresses()), worlds, rules, new_work(1))
     load_ego(base, rules, index_of(base.road.network), worlds)
     return alone
 
 
-@uncounted
-def drive(
-    alone: Alone, course: Course, over: IntArray, path: FloatArray, first: FloatArray, bound: IntArray, own: IntArray
+@kernel_no_refcount
+def simulate_manoeuvre(
+    alone: EgoOnNetwork,
+    course: EgoManoeuvre,
+    over: IntArray,
+    path: FloatArray,
+    first: FloatArray,
+    bound: IntArray,
+    own: IntArray,
 ) -> int:
     """Simulate a manoeuvre from the present scene.
 
@@ -147,7 +153,7 @@ def drive(
             beside = ids[lane, FIRST] + index
             if 0 <= index < ids[lane, COUNT] and ids[lane, ROAD] == ids[g[LANE, 0], ROAD] and over[beside] < 0:
                 g[TARGET, 0] = beside
-        intend(alone.machine, worlds, rules, alone.work, 1)
+        compute_controls(alone.machine, worlds, rules, alone.work, 1)
         speed = f[SPEED, 0]
         if k - 1 >= course.frames:
             f[ACCELERATION, 0] = max(-course.hard, -speed / dt) if speed > 0 else min(course.hard, -speed / dt)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.collisions import collide
 from dynamics.highway_simulator.layout import (
     ACCELERATION,
@@ -33,13 +33,25 @@ from dynamics.highway_simulator.motion import bicycle, limit
 from dynamics.highway_simulator.neighbours import sort
 from dynamics.highway_simulator.scene import next_target_speed
 from dynamics.highway_simulator.step_kernels import Machine
-from dynamics.road_networks.geometry.lanes import Lanes, after_end, closest, on_lane, reachable
-from dynamics.road_networks.geometry.layout import ACROSS, ALONG, COUNT, DYNAMICAL, ENDS, FIRST, FRAMES, ID, LAW, F, G
+from dynamics.road_networks.geometry.lanes import NetworkLanes, after_end, closest, on_lane, reachable
+from dynamics.road_networks.geometry.layout import (
+    ACROSS,
+    ALONG,
+    COUNT,
+    DYNAMICAL,
+    ENDS,
+    FIRST,
+    FRAMES,
+    ID,
+    USES_CONTROLLERS,
+    F,
+    G,
+)
 from dynamics.road_networks.geometry.network import Network
-from dynamics.road_networks.geometry.routes import Traffic, follow_road
+from dynamics.road_networks.geometry.routes import NetworkTraffic, follow_road
 from dynamics.road_networks.traffic.driving import act
-from dynamics.road_networks.traffic.inputs import slide
-from dynamics.road_networks.traffic.regulation import INSTANTS, Customs, clear, regulate
+from dynamics.road_networks.traffic.inputs import slipping_bicycle
+from dynamics.road_networks.traffic.regulation import INSTANTS, TrafficRegulation, regulate, remove_leaving
 from dynamics.state import FloatArray, IntArray
 
 __all__ = [
@@ -49,9 +61,9 @@ __all__ = [
     "advance",
     "begin",
     "command",
+    "compute_controls",
     "ego_of",
     "hold",
-    "intend",
     "move",
     "new_work",
     "new_worlds",
@@ -94,7 +106,7 @@ class NetworkRules(NamedTuple):
     """
 
     network: Network
-    customs: Customs
+    customs: TrafficRegulation
     numbers: tuple[int, int]
     times: tuple[float, float]
     target_speeds: FloatArray
@@ -137,7 +149,7 @@ def new_work(bodies: int) -> NetworkWork:
     )
 
 
-@inlined
+@kernel_inline
 def ego_of(g: IntArray) -> int:
     """The column of the ego."""
     ego = 0
@@ -146,33 +158,33 @@ def ego_of(g: IntArray) -> int:
     return ego
 
 
-@inlined
+@kernel_inline
 def hold(worlds: NetworkWorlds, e: int, throttle: float, wheel: float) -> None:
     """Set a constant acceleration [m/s^2] and front wheel angle [rad] of the ego of a scene, from now on."""
     f, g = worlds.f[e], worlds.g[e]
     ego = ego_of(g)
-    f[ACCELERATION, ego], f[STEERING, ego], g[LAW, ego] = throttle, wheel, 0
+    f[ACCELERATION, ego], f[STEERING, ego], g[USES_CONTROLLERS, ego] = throttle, wheel, 0
 
 
-@inlined
-def _lanes(machine: Machine, network: Network) -> Lanes:
-    return Lanes(machine.sums, machine.loops, network.lanes, network.ids, network.near)
+@kernel_inline
+def _lanes(machine: Machine, network: Network) -> NetworkLanes:
+    return NetworkLanes(machine.sums, machine.loops, network.lanes, network.ids, network.near)
 
 
-@inlined
-def traffic_of(machine: Machine, worlds: NetworkWorlds, network: Network, e: int) -> Traffic:
+@kernel_inline
+def traffic_of(machine: Machine, worlds: NetworkWorlds, network: Network, e: int) -> NetworkTraffic:
     """The road and the bodies of one scene."""
     lanes, bodies = _lanes(machine, network), worlds.counts[e, 1]
-    return Traffic(lanes, network, worlds.f[e], worlds.g[e], worlds.p[e], worlds.routes[e], bodies)
+    return NetworkTraffic(lanes, network, worlds.f[e], worlds.g[e], worlds.p[e], worlds.routes[e], bodies)
 
 
-@uncounted
+@kernel_no_refcount
 def command(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, e: int, ego: int, action: int) -> None:
     """Apply a meta-action to the target command of an ego, given by its column."""
     f, g, network, label = worlds.f[e], worlds.g[e], rules.network, rules.labels[action]
     traffic = traffic_of(machine, worlds, network, e)
-    if g[KIND, ego] == CONTINUOUS and not g[LAW, ego]:
-        g[LAW, ego], g[TARGET, ego], f[TARGET_SPEED, ego] = 1, g[LANE, ego], f[SPEED, ego]
+    if g[KIND, ego] == CONTINUOUS and not g[USES_CONTROLLERS, ego]:
+        g[USES_CONTROLLERS, ego], g[TARGET, ego], f[TARGET_SPEED, ego] = 1, g[LANE, ego], f[SPEED, ego]
     follow_road(traffic, ego)
     if label >= 3:
         f[TARGET_SPEED, ego] = next_target_speed(rules.target_speeds, f[SPEED, ego], label)
@@ -183,7 +195,7 @@ def command(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, e: int
             g[TARGET, ego] = lane
 
 
-@uncounted
+@kernel_no_refcount
 def begin(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, e: int, action: FloatArray) -> None:
     """Begin a decision in one scene: apply the action to the target command.
 
@@ -194,19 +206,19 @@ def begin(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, e: int, 
     command(machine, worlds, rules, e, ego_of(worlds.g[e]), int(action[0]))
 
 
-@uncounted
-def intend(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: NetworkWork, e: int) -> None:
+@kernel_no_refcount
+def compute_controls(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: NetworkWork, e: int) -> None:
     """Compute the controls of all vehicles in one scene for the coming frame."""
     g, vehicles = worlds.g[e], worlds.counts[e, 0]
     traffic = traffic_of(machine, worlds, rules.network, e)
-    clear(traffic, rules.customs, vehicles)
+    remove_leaving(traffic, rules.customs, vehicles)
     act(traffic, work.numbers, work.busy, vehicles)
     g[FRAMES, 0] += 1
     if rules.customs.period > 0 and g[FRAMES, 0] % rules.customs.period == 0:
         regulate(traffic, rules.customs, machine.products, work.numbers, work.busy, work.paths, vehicles)
 
 
-@inlined
+@kernel_inline
 def _go_straight(f: FloatArray, p: FloatArray, i: int, dt: float) -> None:
     """`bicycle` with zero steering: the heading, its cosine and its sine stay the same, except for signs of zeros."""
     speed, wheel = f[SPEED, i], f[STEERING, i]
@@ -219,7 +231,7 @@ def _go_straight(f: FloatArray, p: FloatArray, i: int, dt: float) -> None:
         f[SIN, i] = f[HEADING, i]
 
 
-@uncounted
+@kernel_no_refcount
 def move(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: NetworkWork, e: int) -> None:
     """Move all vehicles in one scene by a frame."""
     f, g, p, vehicles, dt = worlds.f[e], worlds.g[e], worlds.p[e], worlds.counts[e, 0], rules.times[0]
@@ -227,7 +239,7 @@ def move(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: Net
     for i in range(vehicles):
         limit(f, g, p, i, dt)
         if g[DYNAMICAL, i]:
-            slide(machine.loops, machine.products, f, i, dt)
+            slipping_bicycle(machine.loops, machine.products, f, i, dt)
             continue
         if f[STEERING, i] == 0.0 and not g[IMPACTED, i]:
             _go_straight(f, p, i, dt)
@@ -243,14 +255,14 @@ def move(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: Net
     collide(machine.sums, machine.products, f, g, p, order, work.corners, work.pairs, vehicles, dt)
 
 
-@uncounted
+@kernel_no_refcount
 def advance(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: NetworkWork, e: int) -> None:
     """Advance one scene by a frame."""
-    intend(machine, worlds, rules, work, e)
+    compute_controls(machine, worlds, rules, work, e)
     move(machine, worlds, rules, work, e)
 
 
-@uncounted
+@kernel_no_refcount
 def on_way(rules: NetworkRules, f: FloatArray, g: IntArray) -> tuple[bool, bool]:
     """Whether the ego is on the lane that is closest to it, and whether it is at the end of one from which no other
     goes on: the road ends there, and what comes then is not known. Who can stop stops before, and is off the road

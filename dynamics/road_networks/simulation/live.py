@@ -53,7 +53,7 @@ from dynamics.road_networks.simulation.frame_kernels import NetworkRules, Networ
 
 __all__ = ["length_of_route", "load", "load_ego", "longest_route", "store"]
 
-Lanes = Mapping[tuple[str, str, int], int]
+LaneNumbers = Mapping[tuple[str, str, int], int]
 
 
 def longest_route(env: Any) -> int:
@@ -73,7 +73,7 @@ def length_of_route(base: Any) -> int:
     return len(getattr(base.vehicle, "route", None) or ())
 
 
-def load(env: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds, e: int) -> None:
+def load(env: Any, rules: NetworkRules, lanes: LaneNumbers, worlds: NetworkWorlds, e: int) -> None:
     """Copy a live environment into one of the scenes: between two decisions, or between two frames if the ego has
     throttle and steering.
 
@@ -172,7 +172,7 @@ def _store_yielding(road: Any, body: Any, yields: bool) -> None:
         body.is_yielding = False
 
 
-def load_ego(base: Any, rules: NetworkRules, lanes: Lanes, worlds: NetworkWorlds) -> None:
+def load_ego(base: Any, rules: NetworkRules, lanes: LaneNumbers, worlds: NetworkWorlds) -> None:
     """Copy the ego of an environment, unwrapped, alone into the first scene. The ego takes meta-actions.
 
     Raises
@@ -213,7 +213,7 @@ def _key(index: Any) -> tuple[str, str, int]:
     return index[0], index[1], int(index[2] or 0)
 
 
-def _load_route(body: Any, i: int, rules: NetworkRules, lanes: Lanes, g: Any, routes: Any) -> None:
+def _load_route(body: Any, i: int, rules: NetworkRules, lanes: LaneNumbers, g: Any, routes: Any) -> None:
     """Copy the route of a body into row `i` of `routes`.
 
     Raises

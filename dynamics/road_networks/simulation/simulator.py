@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 from highway_env.envs.common.action import ContinuousAction, MultiAgentAction
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import kernel_no_refcount
 from dynamics.errors import ConfigError, SceneError
 from dynamics.highway_simulator.arithmetic import Sums, sums_of_numpy
 from dynamics.highway_simulator.layout import LANE
@@ -31,7 +31,7 @@ from dynamics.road_networks.simulation.frame_kernels import (
     new_worlds,
 )
 from dynamics.road_networks.simulation.live import load, longest_route, store
-from dynamics.road_networks.simulation.supported_traffic import customs_of, exits_of
+from dynamics.road_networks.simulation.supported_traffic import exits_of, traffic_regulation_of
 from dynamics.state import BoolArray, FloatArray
 
 __all__ = ["NetworkSimulator"]
@@ -99,7 +99,7 @@ class NetworkSimulator:
         self._keys = tuple(self._lanes)
         self.rules: NetworkRules = NetworkRules(
             network=network,
-            customs=customs_of(base),
+            customs=traffic_regulation_of(base),
             numbers=(int(frames), len(vehicles)),
             times=(1 / frequency, frames / frequency if self._inputs else 1 / config["policy_frequency"]),
             target_speeds=_speeds(road.network) if self._inputs else np.array(base.vehicle.target_speeds, float),
@@ -210,7 +210,7 @@ def _speeds(network: Any) -> FloatArray:
     return np.linspace(0.0, max(limits, default=_FASTEST), 4)
 
 
-@uncounted
+@kernel_no_refcount
 def _go_on(
     machine: Machine,
     worlds: NetworkWorlds,
@@ -230,7 +230,7 @@ def _go_on(
             write_row(f, g, p, i, rows[k, i])
 
 
-@uncounted
+@kernel_no_refcount
 def _step(
     machine: Machine,
     worlds: NetworkWorlds,

@@ -21,11 +21,11 @@ from highway_env.utils import class_from_path
 
 from dynamics.errors import ConfigError
 from dynamics.highway_simulator.kinds import kind_of
-from dynamics.highway_simulator.own_methods import check_moves
+from dynamics.highway_simulator.own_methods import check_own_methods
 from dynamics.road_networks.traffic.priority_road import PriorityRoad
-from dynamics.road_networks.traffic.regulation import Customs
+from dynamics.road_networks.traffic.regulation import TrafficRegulation
 
-__all__ = ["check_network", "customs_of", "exits_of", "may_have_spawned", "on_network"]
+__all__ = ["check_network", "exits_of", "may_have_spawned", "on_network", "traffic_regulation_of"]
 
 _KNOWN = (ExitEnv, IntersectionEnv, LaneKeepingEnv, MergeEnv, RacetrackEnv, RoundaboutEnv, TwoWayEnv, UTurnEnv)
 """After the reset, no random draws affect the traffic of these environments, except for new vehicles at an
@@ -46,8 +46,8 @@ def on_network(base: Any) -> bool:
 def check_network(base: Any) -> None:
     """Check that the motion of the traffic of an environment, unwrapped, is known.
 
-    The environment may be of any class. The methods that move its traffic have to be highway-env's own (`check_moves`).
-    The objects on its road are checked when the scene is read.
+    The environment may be of any class. The methods that move its traffic have to be highway-env's own
+    (`check_own_methods`). The objects on its road are checked when the scene is read.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def check_network(base: Any) -> None:
             f"the traffic of {type(base).__name__} does not follow from its state; it does on straight highways "
             f"(highway-v0, highway-fast-v0), in {_names(_KNOWN)}, and in environments made as these are"
         )
-    check_moves(base, _AT_CROSSINGS if isinstance(base, IntersectionEnv) else ())
+    check_own_methods(base, _AT_CROSSINGS if isinstance(base, IntersectionEnv) else ())
     traffic = base.config.get("other_vehicles_type")
     if traffic is not None:
         kind_of(class_from_path(traffic))
@@ -84,7 +84,7 @@ def may_have_spawned(base: Any, body: Any) -> bool:
     return start.startswith("o") and end.startswith("ir") and along < _SPAWNED_WITHIN
 
 
-def customs_of(base: Any) -> Customs:
+def traffic_regulation_of(base: Any) -> TrafficRegulation:
     """The rules of an environment's road that act on vehicles beside their driving.
 
     Raises
@@ -95,14 +95,14 @@ def customs_of(base: Any) -> Customs:
     road, frames = base.road, int(base.config["simulation_frequency"] // base.config["policy_frequency"])
     stay = frames if isinstance(base, IntersectionEnv) else 0
     if not isinstance(road, RegulatedRoad):
-        return Customs(0, False, stay, 0)
+        return TrafficRegulation(0, False, stay, 0)
     known = (RegulatedRoad, PriorityRoad)
     if type(road) not in known:
         raise ConfigError(f"the right of way on a {type(road).__name__} is not known; known are {_names(known)}")
     if road.YIELD_DURATION != 0:
         raise ConfigError(f"vehicles yield for {road.YIELD_DURATION} s; only a YIELD_DURATION of 0 is supported")
     period = int(1 / (1 / base.config["simulation_frequency"]) / road.REGULATION_FREQUENCY)
-    return Customs(period, isinstance(road, PriorityRoad), stay, road.steps - base.steps)
+    return TrafficRegulation(period, isinstance(road, PriorityRoad), stay, road.steps - base.steps)
 
 
 def _names(kinds: tuple[type, ...]) -> str:

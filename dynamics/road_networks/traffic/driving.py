@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import clip, not_zero
 from dynamics.highway_simulator.control import KP_A, KP_LATERAL, free_flow_of_all, linear_wheel, pursue
 from dynamics.highway_simulator.lanes import MARGIN
@@ -37,21 +37,21 @@ from dynamics.highway_simulator.layout import (
     X,
     Y,
 )
-from dynamics.highway_simulator.traffic import desired_gap, free_flow_of, held_back, linear
+from dynamics.highway_simulator.traffic import acceleration_behind_leader, desired_gap, free_flow_of, linear
 from dynamics.road_networks.geometry.lanes import heading_at, least_across, local, on_lane, reachable, straight
 from dynamics.road_networks.geometry.layout import (
     ACROSS,
     ALONG,
     COUNT,
     ID,
-    LAW,
     ROAD,
     ROUTE,
     ROUTE_END,
     SHAPE,
     STRAIGHT,
+    USES_CONTROLLERS,
 )
-from dynamics.road_networks.geometry.routes import Traffic, follow_road, on_lane_of
+from dynamics.road_networks.geometry.routes import NetworkTraffic, follow_road, on_lane_of
 from dynamics.state import FloatArray, IntArray
 
 __all__ = ["act"]
@@ -60,8 +60,8 @@ _PURSUIT = 0.5 * 0.2
 """`ControlledVehicle.TAU_PURSUIT`: time ahead at which the lane's heading is taken [s]."""
 
 
-@inlined
-def _neighbours(traffic: Traffic, i: int, lane: int) -> tuple[int, int]:
+@kernel_inline
+def _neighbours(traffic: NetworkTraffic, i: int, lane: int) -> tuple[int, int]:
     """The next bodies ahead of and behind a body on a lane, -1 for none; see
     `dynamics.highway_simulator.neighbours`."""
     lanes, f, linked = traffic.lanes, traffic.f, traffic.network.linked
@@ -95,14 +95,14 @@ def _neighbours(traffic: Traffic, i: int, lane: int) -> tuple[int, int]:
     return front, rear
 
 
-@inlined
-def _ahead(traffic: Traffic, i: int, j: int) -> float:
+@kernel_inline
+def _ahead(traffic: NetworkTraffic, i: int, j: int) -> float:
     """Distance from body i to body j along the lane of i [m]."""
     return on_lane_of(traffic, j, traffic.g[LANE, i])[0] - traffic.f[ALONG, i]
 
 
-@inlined
-def _acceleration(traffic: Traffic, judge: int, body: int, leader: int, free: float) -> float:
+@kernel_inline
+def _acceleration(traffic: NetworkTraffic, judge: int, body: int, leader: int, free: float) -> float:
     """Acceleration of a body behind a leader, by the model and the constants of vehicle `judge` [m/s^2].
 
     Parameters
@@ -120,16 +120,16 @@ def _acceleration(traffic: Traffic, judge: int, body: int, leader: int, free: fl
         free = free_flow_of(lanes.loops, f, g, p, lanes.rows, judge, body)
     if leader < 0:
         return free
-    return held_back(lanes.sums, f, p, judge, body, leader, _ahead(traffic, body, leader), free)
+    return acceleration_behind_leader(lanes.sums, f, p, judge, body, leader, _ahead(traffic, body, leader), free)
 
 
-@inlined
+@kernel_inline
 def _sign(x: int) -> int:
     return (x > 0) - (x < 0)
 
 
-@uncounted
-def _mobil(traffic: Traffic, i: int, lane: int, free: float) -> bool:
+@kernel_no_refcount
+def _mobil(traffic: NetworkTraffic, i: int, lane: int, free: float) -> bool:
     """Whether a vehicle changes to a lane: no vehicle has to brake hard for it, and it gains or its route leads
     there."""
     ids, g, p, routes = traffic.lanes.ids, traffic.g, traffic.p, traffic.routes
@@ -152,8 +152,8 @@ def _mobil(traffic: Traffic, i: int, lane: int, free: float) -> bool:
     return not gain < p[GAIN, i]
 
 
-@uncounted
-def _go_on_changing(traffic: Traffic, i: int, vehicles: int) -> None:
+@kernel_no_refcount
+def _abort_lane_change(traffic: NetworkTraffic, i: int, vehicles: int) -> None:
     """Abort a lane change if a vehicle ahead is changing to the same lane."""
     lanes, f, g, p = traffic.lanes, traffic.f, traffic.g, traffic.p
     ids, lane, target = lanes.ids, g[LANE, i], g[TARGET, i]
@@ -167,8 +167,8 @@ def _go_on_changing(traffic: Traffic, i: int, vehicles: int) -> None:
             break
 
 
-@uncounted
-def _choose_lane(traffic: Traffic, i: int, free: float) -> None:
+@kernel_no_refcount
+def _choose_lane(traffic: NetworkTraffic, i: int, free: float) -> None:
     """Choose a target lane by MOBIL, when the vehicle's timer is due."""
     lanes, f, g = traffic.lanes, traffic.f, traffic.g
     ids, lane = lanes.ids, g[LANE, i]
@@ -183,17 +183,17 @@ def _choose_lane(traffic: Traffic, i: int, free: float) -> None:
             g[TARGET, i] = candidate
 
 
-@inlined
-def _change_lanes(traffic: Traffic, i: int, vehicles: int, free: float) -> None:
+@kernel_inline
+def _change_lanes(traffic: NetworkTraffic, i: int, vehicles: int, free: float) -> None:
     """Update the target lane of a vehicle in place. Vehicles with a higher index see the result."""
     if traffic.g[LANE, i] != traffic.g[TARGET, i]:
-        _go_on_changing(traffic, i, vehicles)
+        _abort_lane_change(traffic, i, vehicles)
     elif traffic.p[DELAY, i] < traffic.f[TIMER, i]:
         _choose_lane(traffic, i, free)
 
 
-@uncounted
-def _steer(traffic: Traffic, work: FloatArray, busy: IntArray, vehicles: int) -> None:
+@kernel_no_refcount
+def _steer(traffic: NetworkTraffic, work: FloatArray, busy: IntArray, vehicles: int) -> None:
     """Steering of each vehicle towards its target lane [rad]."""
     lanes, f, g, p = traffic.lanes, traffic.f, traffic.g, traffic.p
     asked, ahead, n = work[1], work[0], 0
@@ -203,7 +203,7 @@ def _steer(traffic: Traffic, work: FloatArray, busy: IntArray, vehicles: int) ->
             s, r = on_lane_of(traffic, i, lane)
             future = heading_at(lanes, lane, s + f[SPEED, i] * _PURSUIT)
             f[STEERING, i] = linear_wheel(lanes.sums, lanes.loops, f, p, i, future, r)
-        elif g[KIND, i] in (EGO, ALLY) or g[LAW, i] or (g[KIND, i] == IDM and not g[CRASHED, i]):
+        elif g[KIND, i] in (EGO, ALLY) or g[USES_CONTROLLERS, i] or (g[KIND, i] == IDM and not g[CRASHED, i]):
             s, r = on_lane_of(traffic, i, lane)
             ahead[n] = heading_at(lanes, lane, s + f[SPEED, i] * _PURSUIT)
             if r == 0.0 and f[HEADING, i] == ahead[n] and f[SPEED, i] >= 0.0:
@@ -215,8 +215,8 @@ def _steer(traffic: Traffic, work: FloatArray, busy: IntArray, vehicles: int) ->
     pursue(lanes.loops, f, p, ahead, asked, work[2], busy, n)
 
 
-@uncounted
-def act(traffic: Traffic, work: FloatArray, busy: IntArray, vehicles: int) -> None:
+@kernel_no_refcount
+def act(traffic: NetworkTraffic, work: FloatArray, busy: IntArray, vehicles: int) -> None:
     """Target lanes of all vehicles, one after the other; then steering and acceleration.
 
     Parameters
@@ -227,7 +227,7 @@ def act(traffic: Traffic, work: FloatArray, busy: IntArray, vehicles: int) -> No
     free_flow_of_all(lanes.loops, f, g, p, lanes.rows, work, vehicles)
     for i in range(vehicles):
         if g[KIND, i] == CONTINUOUS:
-            if g[LAW, i]:
+            if g[USES_CONTROLLERS, i]:
                 follow_road(traffic, i)
         elif g[KIND, i] in (EGO, ALLY) or not g[CRASHED, i]:
             follow_road(traffic, i)
@@ -237,7 +237,7 @@ def act(traffic: Traffic, work: FloatArray, busy: IntArray, vehicles: int) -> No
         if g[KIND, i] in (EGO, ALLY):
             f[ACCELERATION, i] = KP_A * (f[TARGET_SPEED, i] - f[SPEED, i])
         elif g[KIND, i] == CONTINUOUS:
-            if g[LAW, i]:
+            if g[USES_CONTROLLERS, i]:
                 f[ACCELERATION, i] = clip(KP_A * (f[TARGET_SPEED, i] - f[SPEED, i]), -p[ACC_MAX, i], p[COMFORT, i])
         elif not g[CRASHED, i]:
             wanted = math.inf

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import clip, dot2
 from dynamics.highway_simulator.layout import (
     ACCELERATION,
@@ -23,7 +23,7 @@ from dynamics.highway_simulator.motion import bicycle, limit
 from dynamics.road_networks.geometry.layout import DYNAMICAL, LATERAL_SPEED, YAW_RATE
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["foresee", "slide"]
+__all__ = ["predict_with_constant_inputs", "slipping_bicycle"]
 
 _COS, _SIN, _ARCTAN2 = 3, 4, 7
 _HALF, _INERTIA, _FRICTION = 2.5, 1 / 12 * 1 * (5.0**2 + 2.0**2), 15.0
@@ -32,7 +32,7 @@ _FASTEST_TURN = 2 * math.pi
 """`BicycleVehicle.MAX_ANGULAR_SPEED` [rad/s]."""
 
 
-@inlined
+@kernel_inline
 def _rates(
     loops: IntArray, products: int, steering: float, heading: float, speed: float, lateral: float, yaw: float
 ) -> tuple[float, float, float, float]:
@@ -50,14 +50,14 @@ def _rates(
     return dx, dy, sideways, turning
 
 
-@inlined
+@kernel_inline
 def _sum(dt: float, a: float, b: float, c: float, d: float) -> float:
     """Increment of a state in a fourth-order Runge-Kutta step."""
     return (dt / 6) * (a + (2 * b) + (2 * c) + d)
 
 
-@uncounted
-def slide(loops: IntArray, products: int, f: FloatArray, i: int, dt: float) -> None:
+@kernel_no_refcount
+def slipping_bicycle(loops: IntArray, products: int, f: FloatArray, i: int, dt: float) -> None:
     """A frame of `BicycleVehicle`, a bicycle with tyre slip, by highway-env's own fourth-order Runge-Kutta step."""
     f[STEERING, i] = clip(f[STEERING, i], -math.pi / 2, math.pi / 2)
     f[YAW_RATE, i] = clip(f[YAW_RATE, i], -_FASTEST_TURN, _FASTEST_TURN)
@@ -80,8 +80,8 @@ def slide(loops: IntArray, products: int, f: FloatArray, i: int, dt: float) -> N
     f[SIN, i] = at(loops[_SIN, 0], loops[_SIN, 1], f[HEADING, i])
 
 
-@uncounted
-def foresee(
+@kernel_no_refcount
+def predict_with_constant_inputs(
     loops: IntArray,
     products: int,
     f: FloatArray,
@@ -109,7 +109,7 @@ def foresee(
     for n in range(path.shape[0]):
         limit(f, g, p, i, step)
         if g[DYNAMICAL, i]:
-            slide(loops, products, f, i, step)
+            slipping_bicycle(loops, products, f, i, step)
         else:
             bicycle(loops, f, g, p, work, busy, 1, step)
         path[n, 0], path[n, 1], path[n, 2] = f[X, i], f[Y, i], f[HEADING, i]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import dot2
 from dynamics.highway_simulator.layout import (
     CHECKS,
@@ -48,12 +48,12 @@ from dynamics.road_networks.geometry.layout import (
     TO,
     YIELDS,
 )
-from dynamics.road_networks.geometry.routes import Traffic
-from dynamics.road_networks.traffic.inputs import foresee
+from dynamics.road_networks.geometry.routes import NetworkTraffic
+from dynamics.road_networks.traffic.inputs import predict_with_constant_inputs
 from dynamics.road_networks.traffic.priority_road import HORIZON, REACH
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["INSTANTS", "Customs", "clear", "regulate"]
+__all__ = ["INSTANTS", "TrafficRegulation", "regulate", "remove_leaving"]
 
 INSTANTS = 11
 """Number of instants at which two vehicles are compared, `_STEP` apart [s]."""
@@ -61,11 +61,11 @@ _STEP = 0.25
 _LONG, _WIDE = 1.5, 0.9
 """Factors on length and width of the vehicles in the comparison."""
 _COS, _SIN = 3, 4
-_GONE = 1e6
+_REMOVED_AT = 1e6
 """Coordinate at which a vehicle that has left is kept [m]."""
 
 
-class Customs(NamedTuple):
+class TrafficRegulation(NamedTuple):
     """Rules of a road that act on vehicles beside their driving.
 
     Attributes
@@ -84,8 +84,8 @@ class Customs(NamedTuple):
     phase: int
 
 
-@inlined
-def _entry(traffic: Traffic, i: int, k: int) -> int:
+@kernel_inline
+def _entry(traffic: NetworkTraffic, i: int, k: int) -> int:
     """The lane of entry k of a route. If it names none, the lane with the same index as the vehicle's."""
     lanes, network, own = traffic.lanes, traffic.network, traffic.g[LANE, i]
     road, wanted = traffic.routes[i, k, 0], traffic.routes[i, k, 1]
@@ -94,8 +94,8 @@ def _entry(traffic: Traffic, i: int, k: int) -> int:
     return network.roads[road, 2] + wanted
 
 
-@uncounted
-def _foresee(traffic: Traffic, i: int, path: FloatArray) -> None:
+@kernel_no_refcount
+def _predict_along_route(traffic: NetworkTraffic, i: int, path: FloatArray) -> None:
     """Positions of a vehicle at each instant at constant speed, (INSTANTS, 6), written: x, y [m], heading [rad], its
     cosine and sine; the sixth is 0 as long as these two are not computed."""
     lanes, f, g, last = traffic.lanes, traffic.f, traffic.g, traffic.g[ROUTE_END, i] - 1
@@ -110,8 +110,8 @@ def _foresee(traffic: Traffic, i: int, path: FloatArray) -> None:
         path[n, 2], path[n, 5] = heading_at(lanes, lane, s), 0.0
 
 
-@uncounted
-def _reaches_into(traffic: Traffic, products: int, one: FloatArray, i: int, other: FloatArray, j: int) -> bool:
+@kernel_no_refcount
+def _reaches_into(traffic: NetworkTraffic, products: int, one: FloatArray, i: int, other: FloatArray, j: int) -> bool:
     """highway-env's `has_corner_inside`, with its way of transforming a point into the frame of the other vehicle."""
     p, sums = traffic.p, traffic.lanes.sums
     length, width = _LONG * p[LENGTH, i] / 2, _WIDE * p[WIDTH, i] / 2
@@ -127,8 +127,8 @@ def _reaches_into(traffic: Traffic, products: int, one: FloatArray, i: int, othe
     return False
 
 
-@inlined
-def _turn(traffic: Traffic, at_instant: FloatArray) -> None:
+@kernel_inline
+def _turn(traffic: NetworkTraffic, at_instant: FloatArray) -> None:
     """Compute the cosine and the sine of the heading at an instant, if they are not known."""
     loops = traffic.lanes.loops
     if at_instant[5] == 0.0:
@@ -137,8 +137,8 @@ def _turn(traffic: Traffic, at_instant: FloatArray) -> None:
         at_instant[5] = 1.0
 
 
-@uncounted
-def _meet(traffic: Traffic, products: int, paths: FloatArray, i: int, j: int) -> bool:
+@kernel_no_refcount
+def _meet(traffic: NetworkTraffic, products: int, paths: FloatArray, i: int, j: int) -> bool:
     """Whether two vehicles would touch at one of the instants."""
     for n in range(INSTANTS):
         one, other = paths[i, n], paths[j, n]
@@ -152,22 +152,22 @@ def _meet(traffic: Traffic, products: int, paths: FloatArray, i: int, j: int) ->
     return False
 
 
-@inlined
-def _far(f: FloatArray, i: int, j: int) -> bool:
+@kernel_inline
+def _cannot_meet(f: FloatArray, i: int, j: int) -> bool:
     """Whether two vehicles are too far apart to meet within the horizon."""
     reach = HORIZON * (abs(f[SPEED, i]) + abs(f[SPEED, j])) + REACH
     return math.hypot(f[X, i] - f[X, j], f[Y, i] - f[Y, j]) > reach
 
 
-@inlined
-def _follows(traffic: Traffic, i: int, j: int) -> bool:
+@kernel_inline
+def _follows(traffic: NetworkTraffic, i: int, j: int) -> bool:
     """Whether the road of vehicle i leads to the node at which the road of vehicle j begins."""
     ids, g = traffic.lanes.ids, traffic.g
     return ids[g[LANE, i], TO] == traffic.network.roads[ids[g[LANE, j], ROAD], 0]
 
 
-@uncounted
-def _who_yields(traffic: Traffic, ways_cross: bool, i: int, j: int) -> int:
+@kernel_no_refcount
+def _yielding_vehicle(traffic: NetworkTraffic, ways_cross: bool, i: int, j: int) -> int:
     """The vehicle of lower priority; with equal priorities, the one that has the other further ahead of it."""
     ids, f, g, sums = traffic.lanes.ids, traffic.f, traffic.g, traffic.lanes.sums
     if ways_cross and (_follows(traffic, i, j) or _follows(traffic, j, i)):
@@ -180,10 +180,10 @@ def _who_yields(traffic: Traffic, ways_cross: bool, i: int, j: int) -> int:
     return i if ahead > dot2(sums, f[COS, j], -dx, f[SIN, j], -dy) else j
 
 
-@uncounted
+@kernel_no_refcount
 def regulate(
-    traffic: Traffic,
-    customs: Customs,
+    traffic: NetworkTraffic,
+    customs: TrafficRegulation,
     products: int,
     work: FloatArray,
     busy: IntArray,
@@ -203,22 +203,22 @@ def regulate(
         if g[YIELDS, i]:
             f[TARGET_SPEED, i], g[YIELDS, i] = lanes.rows[g[LANE, i], LANE_LIMIT], 0
         if g[KIND, i] == CONTINUOUS:
-            foresee(lanes.loops, products, f, g, traffic.p, work, busy, i, _STEP, paths[i])
+            predict_with_constant_inputs(lanes.loops, products, f, g, traffic.p, work, busy, i, _STEP, paths[i])
         else:
-            _foresee(traffic, i, paths[i])
+            _predict_along_route(traffic, i, paths[i])
     for i in range(vehicles - 1):
         for j in range(i + 1, vehicles):
-            if g[KIND, i] == OBSTACLE or g[KIND, j] == OBSTACLE or (customs.ways_cross and _far(f, i, j)):
+            if g[KIND, i] == OBSTACLE or g[KIND, j] == OBSTACLE or (customs.ways_cross and _cannot_meet(f, i, j)):
                 continue
             if not _meet(traffic, products, paths, i, j):
                 continue
-            yields = _who_yields(traffic, customs.ways_cross, i, j)
+            yields = _yielding_vehicle(traffic, customs.ways_cross, i, j)
             if g[KIND, yields] in (IDM, LINEAR):
                 f[TARGET_SPEED, yields], g[YIELDS, yields] = 0.0, 1
 
 
-@uncounted
-def clear(traffic: Traffic, customs: Customs, vehicles: int) -> None:
+@kernel_no_refcount
+def remove_leaving(traffic: NetworkTraffic, customs: TrafficRegulation, vehicles: int) -> None:
     """When `customs.stay` frames have passed, remove vehicles of the traffic that are near the end of a lane that
     leaves the road, or have no route. They are moved far away."""
     lanes, f, g, p = traffic.lanes, traffic.f, traffic.g, traffic.p
@@ -228,6 +228,6 @@ def clear(traffic: Traffic, customs: Customs, vehicles: int) -> None:
         lane = g[LANE, i]
         leaves = lanes.ids[lane, LEAVES] and f[ALONG, i] >= lanes.rows[lane, LANE_LENGTH] - 4 * p[LENGTH, i]
         if g[KIND, i] in (IDM, LINEAR) and (leaves or g[ROUTE_END, i] < 0):
-            f[X, i], f[Y, i], f[SPEED, i] = _GONE * (1 + i), _GONE, 0.0
+            f[X, i], f[Y, i], f[SPEED, i] = _REMOVED_AT * (1 + i), _REMOVED_AT, 0.0
             f[ALONG, i], f[ACROSS, i] = local(lanes, lane, f[X, i], f[Y, i])
             g[KIND, i], g[CRASHED, i], g[IMPACTED, i], g[CHECKS, i] = OBSTACLE, 1, 0, 0

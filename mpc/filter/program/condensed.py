@@ -34,14 +34,14 @@ import numpy as np
 from dynamics.state import FloatArray
 from mpc.filter.problem import FilterProblem, FilterSettings
 from mpc.filter.program.linearised import INFINITY, LEVER, linearised
-from mpc.filter.program.question import Question
+from mpc.filter.program.question import ProblemArrays
 from mpc.filter.program.road_step import StageModel
 from mpc.filter.program.rows import Sensitivity, objective, references
 
 __all__ = ["Program", "build"]
 
 
-class Program(Question):
+class Program(ProblemArrays):
     """Compiled program of one size, in condensed form.
 
     min 1/2 w' H w + g' w  s.t.  low <= w <= high,  lower <= A w <= upper

@@ -13,7 +13,7 @@ from dynamics.state import FloatArray
 from mpc.filter.problem import FREE, FilterProblem, FilterSettings, Occupied
 from mpc.filter.program.linearised import MISC
 
-__all__ = ["Question", "Weights", "bind"]
+__all__ = ["ProblemArrays", "Weights", "bind"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class Weights:
         return cls(float(near), float(near), 0.0 if near else settings.smoothing, lateral, heading, speed)
 
 
-class Question:
+class ProblemArrays:
     """Arrays of one compiled size: fill the inputs, call `linearise`, and read the outputs.
 
     Subclasses define the form of the quadratic program: `condensed.Program` and `sparse.SparseProgram`.

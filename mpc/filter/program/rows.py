@@ -22,7 +22,7 @@ SOFT = 8
 """Number of soft constraints of a stage."""
 TURNS = 4
 """Number of rows at the end of a move: speed, trust region, heading to either side."""
-_CALM = 5.0
+_STEERING_SPEED = 5.0
 """Speed in the weight of later steering, which grows with the square of v over this speed [m/s]."""
 
 
@@ -98,7 +98,7 @@ def objective(
         center = ca.SX(0) if aim is None else aim[0, k]
         off = moved[k] - ca.vertcat(0, feed_forward(curvature[k], center) / scale[1])
         cost += weight * ca.sumsqr(moved[k] - moved[k - 1])
-        lively = 1 + (speed / _CALM) ** 2
+        lively = 1 + (speed / _STEERING_SPEED) ** 2
         cost += settings.magnitude * off[0] ** 2 + settings.steadiness * lively * off[1] ** 2
         cost += settings.damping * lively * w[2 * of[k] + 1] ** 2
     slack = w[2 * moves :]

@@ -35,7 +35,7 @@ import numpy as np
 from dynamics.state import FloatArray
 from mpc.filter.problem import FilterProblem, FilterSettings
 from mpc.filter.program.linearised import ENDS, INFINITY, LEVER, TANGENTS, Linearised, linearised
-from mpc.filter.program.question import Question, bind
+from mpc.filter.program.question import ProblemArrays, bind
 from mpc.filter.program.road_step import StageModel
 from mpc.filter.program.rows import SOFT, objective, references
 
@@ -78,7 +78,7 @@ _SMALL = 1e-6
 """Added to variances, so that none is zero."""
 
 
-class SparseProgram(Question):
+class SparseProgram(ProblemArrays):
     """Compiled program of one size, in sparse form. The sparsity patterns never change.
 
     min 1/2 x' P x + q' x  s.t.  l <= A x <= u

@@ -18,16 +18,16 @@ from mpc.filter.problem import FilterSettings
 from mpc.filter.program.condensed import Program
 from mpc.filter.program.question import bind
 
-__all__ = ["FAILED", "GREATEST", "Answer", "QuadraticSolver", "Solver", "residuals", "sane"]
+__all__ = ["FAILED", "GREATEST", "QpSolution", "QuadraticSolver", "Solver", "residuals", "sane"]
 
-Form = TypeVar("Form", contravariant=True)
+ProgramType = TypeVar("ProgramType", contravariant=True)
 
 GREATEST = 1e6
 """Largest magnitude of an unknown in a valid solution."""
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class QpSolution:
     """Solution of one quadratic program.
 
     Attributes
@@ -45,14 +45,14 @@ class Answer:
     exact: bool = True
 
 
-FAILED = Answer(None, np.inf, np.inf, 0)
+FAILED = QpSolution(None, np.inf, np.inf, 0)
 """Result without a solution."""
 
 
-class QuadraticSolver(Protocol[Form]):
+class QuadraticSolver(Protocol[ProgramType]):
     """Solver of quadratic programs in one form, called for one program after the other."""
 
-    def prepare(self, program: Form) -> None:
+    def prepare(self, program: ProgramType) -> None:
         """Compile in advance."""
         ...
 
@@ -60,7 +60,7 @@ class QuadraticSolver(Protocol[Form]):
         """Start a new descent; the last solution is `frames` frames old, or unrelated (None)."""
         ...
 
-    def solve(self, program: Form) -> Answer:
+    def solve(self, program: ProgramType) -> QpSolution:
         """Solve the program; never raises an error."""
         ...
 
@@ -79,7 +79,7 @@ class Solver:
 
     def __init__(self, settings: FilterSettings) -> None:
         self.settings = settings
-        self._slots: dict[int, _Slot] = {}
+        self._slots: dict[int, _DaqpWorkspace] = {}
 
     def reset(self) -> None:
         """Forget the compiled solvers."""
@@ -92,7 +92,7 @@ class Solver:
     def begin(self, frames: int | None) -> None:
         """Nothing to do, because DAQP has no warm start."""
 
-    def solve(self, program: Program) -> Answer:
+    def solve(self, program: Program) -> QpSolution:
         """Solve the program without a warm start."""
         if not sane(program):
             return FAILED
@@ -109,9 +109,9 @@ class Solver:
         limit = self.settings.accuracy
         if not (primal < limit and dual < limit and np.abs(slot.x).max() < GREATEST):
             return FAILED
-        return Answer(slot.x.copy(), primal, dual, int(np.count_nonzero(slot.bounds) + np.count_nonzero(slot.rows)))
+        return QpSolution(slot.x.copy(), primal, dual, int(np.count_nonzero(slot.bounds) + np.count_nonzero(slot.rows)))
 
-    def _compile(self, program: Program) -> _Slot:
+    def _compile(self, program: Program) -> _DaqpWorkspace:
         rows, columns = program.A.shape
         shapes = {"h": ca.Sparsity.dense(columns, columns), "a": ca.Sparsity.dense(rows, columns)}
         daqp = {"iter_limit": self.settings.most_iterations, "primal_tol": 1e-9}
@@ -123,11 +123,11 @@ class Solver:
         names |= {"lam_x0": np.zeros(columns), "lam_a0": np.zeros(rows), "q": np.zeros(0), "p": np.zeros(0)}
         found = {"x": x, "cost": cost, "lam_a": multipliers, "lam_x": bounds}
         call = bind(solver, tuple(names[n] for n in solver.name_in()), tuple(found[n] for n in solver.name_out()))
-        return _Slot(program, call, x, bounds, multipliers)
+        return _DaqpWorkspace(program, call, x, bounds, multipliers)
 
 
 @dataclass(frozen=True, slots=True)
-class _Slot:
+class _DaqpWorkspace:
     """A compiled solver bound to its program; the reference keeps the program's id unique."""
 
     program: Program

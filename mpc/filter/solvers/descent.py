@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.state import FloatArray, RoadState
-from mpc.filter.program.question import Question
+from mpc.filter.program.question import ProblemArrays
 from mpc.filter.result import Status
 from mpc.filter.solvers.daqp import QuadraticSolver
 
@@ -44,7 +44,7 @@ class Descent:
         return not self.status.usable, self.violation
 
 
-def descend(program: Question, solver: QuadraticSolver[Any], guess: FloatArray, deadline: float) -> Descent:
+def descend(program: ProblemArrays, solver: QuadraticSolver[Any], guess: FloatArray, deadline: float) -> Descent:
     """Improve a guess (N, 2) by at most `settings.sweeps` linearisations, with the sides of the guess.
 
     Steps are full, because the next linearisation corrects the errors of the last one. A step to a worse plan than the
@@ -89,7 +89,7 @@ def descend(program: Question, solver: QuadraticSolver[Any], guess: FloatArray, 
         np.clip(program.inputs, low, high, out=program.inputs)
         program.roll_out()
         if answer.primal > _ROUNDING:
-            _stand(program)
+            _stop_without_reverse(program)
         change = float(np.abs((program.inputs[0] - before) / program.scale).max() / 2)
         if sweeps > 1 and program.merit >= best:
             program.inputs[:] = 0.5 * (program.inputs + kept)
@@ -137,7 +137,7 @@ def descend(program: Question, solver: QuadraticSolver[Any], guess: FloatArray, 
     )
 
 
-def _adopt(program: Question, wanted: FloatArray) -> bool:
+def _adopt(program: ProblemArrays, wanted: FloatArray) -> bool:
     """Use the proposal itself as the first input, if the plan satisfies the constraints with it.
 
     The second input compensates the difference, so that the rest of the plan stays the same.
@@ -158,7 +158,7 @@ def _adopt(program: Question, wanted: FloatArray) -> bool:
     return False
 
 
-def _stand(program: Question) -> None:
+def _stop_without_reverse(program: ProblemArrays) -> None:
     """Brake less where the plan would roll backwards within the solver's accuracy, so that it stops."""
     speeds = program.states[:, RoadState.SPEED]
     if not -program.settings.accuracy <= speeds.min() < -_STILL or program.state[RoadState.SPEED] < 0:

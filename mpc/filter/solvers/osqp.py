@@ -22,7 +22,7 @@ from scipy import sparse
 from dynamics.state import FloatArray
 from mpc.filter.problem import FilterSettings
 from mpc.filter.program.sparse import SparseProgram
-from mpc.filter.solvers.daqp import FAILED, GREATEST, Answer
+from mpc.filter.solvers.daqp import FAILED, GREATEST, QpSolution
 from mpc.filter.solvers.warm_start import WarmStart
 
 __all__ = ["ROUND", "OsqpSolver"]
@@ -54,7 +54,7 @@ class OsqpSolver:
         self.settings = settings
         self.iterations = 0
         self._warm = WarmStart(settings)
-        self._slots: dict[int, _Slot] = {}
+        self._slots: dict[int, _OsqpWorkspace] = {}
 
     def reset(self) -> None:
         """Forget the workspaces and the warm start."""
@@ -70,9 +70,9 @@ class OsqpSolver:
 
     def prepare(self, program: SparseProgram) -> None:
         """Set up a workspace in advance."""
-        self._slots[id(program)] = _Slot(program)
+        self._slots[id(program)] = _OsqpWorkspace(program)
 
-    def solve(self, program: SparseProgram) -> Answer:
+    def solve(self, program: SparseProgram) -> QpSolution:
         """Solve with a warm start. Never raises an error; a solution cut off by the iteration limit is not `exact`."""
         self.iterations = 0
         if not _sane(program):
@@ -87,7 +87,7 @@ class OsqpSolver:
             self.reset()
         return answer
 
-    def _iterate(self, slot: _Slot, program: SparseProgram) -> Answer:
+    def _iterate(self, slot: _OsqpWorkspace, program: SparseProgram) -> QpSolution:
         limit = self.settings.accuracy
         slot.load(*self._warm.start(program.hold))
         while True:
@@ -104,10 +104,10 @@ class OsqpSolver:
             slot.hold_firmer(program.miss > limit, x, y)
         self._warm.keep(x, y * program.hold)
         active = int(np.count_nonzero(np.abs(y[-program.miss.size :]) > 1e-9))
-        return Answer(program.inputs_and_slack.copy(), primal, dual, active, exact)
+        return QpSolution(program.inputs_and_slack.copy(), primal, dual, active, exact)
 
 
-class _Slot:
+class _OsqpWorkspace:
     """OSQP's workspace for one program; the reference keeps the program's id unique."""
 
     def __init__(self, program: SparseProgram) -> None:

@@ -6,19 +6,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import inlined, uncounted
-from dynamics.road_networks.simulation.ego_alone import Alone, Course, drive
+from dynamics.compiled import kernel_inline, kernel_no_refcount
+from dynamics.road_networks.simulation.ego_alone import EgoManoeuvre, EgoOnNetwork, simulate_manoeuvre
 from dynamics.state import FloatArray
-from shield.certificate.network.clearance import ASKED, BELIEVED, CLEAR, MADE, STRICT, judge
-from shield.certificate.network.projection import survey
-from shield.certificate.network.workspace import Body, Others, Road, Trial
+from shield.certificate.network.clearance import (
+    AFTER_REACTION,
+    ASSUMED_KEPT,
+    BRAKING_AT_ONCE,
+    CLEAR,
+    NEW_PATH_MARGIN,
+    least_separation,
+)
+from shield.certificate.network.projection import project_path
+from shield.certificate.network.workspace import CandidateRollout, EgoExtents, NetworkContext, NetworkVehicles
 
-__all__ = ["Choice", "ask", "choose", "try_course"]
+__all__ = ["JudgedCandidate", "choose", "try_candidate", "try_with_braking"]
 
 _OFF, _SAME = 1e3, 1e-6
 
 
-class Choice(NamedTuple):
+class JudgedCandidate(NamedTuple):
     """A judged candidate manoeuvre.
 
     Attributes
@@ -38,53 +45,85 @@ class Choice(NamedTuple):
     speed: float
 
 
-@uncounted
-def _follow(alone: Alone, road: Road, others: Others, row: FloatArray, trial: Trial) -> int:
-    """Roll out a candidate, a row of `Course`, and project its path to the lanes. Return what `drive` returns."""
-    course = Course(int(row[0]), row[1], row[2], int(row[3]), int(row[4]), row[5])
-    found = drive(alone, course, road.ways.over, trial.path, trial.first, trial.bound, trial.own)
-    survey(road, road.body, others, trial.path, abs(found), trial)
+@kernel_no_refcount
+def _follow(
+    alone: EgoOnNetwork, road: NetworkContext, others: NetworkVehicles, row: FloatArray, trial: CandidateRollout
+) -> int:
+    """Roll out a candidate, a row of `EgoManoeuvre`, and project its path to the lanes. Return what
+    `simulate_manoeuvre` returns."""
+    course = EgoManoeuvre(int(row[0]), row[1], row[2], int(row[3]), int(row[4]), row[5])
+    found = simulate_manoeuvre(alone, course, road.ways.over, trial.path, trial.first, trial.bound, trial.own)
+    project_path(road, road.body, others, trial.path, abs(found), trial)
     return found
 
 
-@uncounted
-def _weigh(road: Road, others: Others, found: int, trust: int, trial: Trial, bodies: Trial) -> Choice:
+@kernel_no_refcount
+def _weigh(
+    road: NetworkContext,
+    others: NetworkVehicles,
+    found: int,
+    trust: int,
+    trial: CandidateRollout,
+    bodies: CandidateRollout,
+) -> JudgedCandidate:
     """Judge the candidate that `_follow` has rolled out; `found` is what `_follow` returned."""
     count = abs(found)
     rests = found > 0 and abs(trial.path[count - 1, 3]) < 1e-6
-    margin, who, when, innocent = judge(others, road, trial, bodies.boxes, count, rests, trust)
+    margin, who, when, innocent = least_separation(others, road, trial, bodies.boxes, count, rests, trust)
     if found < 0:
         # The path leaves the road, at that speed.
         when = min(when, count - 1)
-        return Choice(0, -_OFF - trial.path[when, 3], -1, when, -_OFF, trial.path[when, 3])
-    return Choice(0, margin, who, when, innocent, abs(trial.path[when, 3]) if when < count else 0.0)
+        return JudgedCandidate(0, -_OFF - trial.path[when, 3], -1, when, -_OFF, trial.path[when, 3])
+    return JudgedCandidate(0, margin, who, when, innocent, abs(trial.path[when, 3]) if when < count else 0.0)
 
 
-@uncounted
-def _ask(road: Road, body: Body, others: Others, found: int, trial: Trial, bodies: Trial) -> Choice:
-    """The same for `ASKED`: vehicles with a distance obligation brake at once, and have to stay behind the ego's
-    body."""
-    survey(road, body, others, trial.path, abs(found), bodies)
-    return _weigh(road, others, found, ASKED, trial, bodies)
+@kernel_no_refcount
+def _ask(
+    road: NetworkContext,
+    body: EgoExtents,
+    others: NetworkVehicles,
+    found: int,
+    trial: CandidateRollout,
+    bodies: CandidateRollout,
+) -> JudgedCandidate:
+    """The same for `BRAKING_AT_ONCE`: vehicles with a distance obligation brake at once, and have to stay behind the
+    ego's body."""
+    project_path(road, body, others, trial.path, abs(found), bodies)
+    return _weigh(road, others, found, BRAKING_AT_ONCE, trial, bodies)
 
 
-@uncounted
-def try_course(alone: Alone, road: Road, others: Others, row: FloatArray, lenient: bool, trial: Trial) -> Choice:
-    """Roll out and judge one candidate, a row of `Course`; if `lenient`, vehicles with a distance obligation are
+@kernel_no_refcount
+def try_candidate(
+    alone: EgoOnNetwork,
+    road: NetworkContext,
+    others: NetworkVehicles,
+    row: FloatArray,
+    lenient: bool,
+    trial: CandidateRollout,
+) -> JudgedCandidate:
+    """Roll out and judge one candidate, a row of `EgoManoeuvre`; if `lenient`, vehicles with a distance obligation are
     assumed to keep their distance."""
-    trust = BELIEVED if lenient else STRICT
+    trust = ASSUMED_KEPT if lenient else AFTER_REACTION
     return _weigh(road, others, _follow(alone, road, others, row, trial), trust, trial, trial)
 
 
-@uncounted
-def ask(alone: Alone, road: Road, body: Body, others: Others, row: FloatArray, trial: Trial, bodies: Trial) -> Choice:
-    """Roll out and judge one candidate, a row of `Course`, where vehicles with a distance obligation brake at once; see
-    `choose`."""
+@kernel_no_refcount
+def try_with_braking(
+    alone: EgoOnNetwork,
+    road: NetworkContext,
+    body: EgoExtents,
+    others: NetworkVehicles,
+    row: FloatArray,
+    trial: CandidateRollout,
+    bodies: CandidateRollout,
+) -> JudgedCandidate:
+    """Roll out and judge one candidate, a row of `EgoManoeuvre`, where vehicles with a distance obligation brake at
+    once; see `choose`."""
     return _ask(road, body, others, _follow(alone, road, others, row, trial), trial, bodies)
 
 
-@inlined
-def _better(a: Choice, b: Choice) -> bool:
+@kernel_inline
+def _better(a: JudgedCandidate, b: JudgedCandidate) -> bool:
     """Whether candidate a is preferred to candidate b.
 
     If either is clear of everything, the larger margin decides. Otherwise, in this order: clear of everything except
@@ -101,40 +140,46 @@ def _better(a: Choice, b: Choice) -> bool:
     return a.margin > b.margin
 
 
-@inlined
-def _at(found: Choice, k: int) -> Choice:
+@kernel_inline
+def _at(found: JudgedCandidate, k: int) -> JudgedCandidate:
     """The same result as candidate k."""
-    return Choice(k, found.margin, found.vehicle, found.clear, found.innocent, found.speed)
+    return JudgedCandidate(k, found.margin, found.vehicle, found.clear, found.innocent, found.speed)
 
 
-@uncounted
+@kernel_no_refcount
 def choose(
-    alone: Alone, road: Road, body: Body, others: Others, courses: FloatArray, trial: Trial, bodies: Trial
-) -> Choice:
+    alone: EgoOnNetwork,
+    road: NetworkContext,
+    body: EgoExtents,
+    others: NetworkVehicles,
+    courses: FloatArray,
+    trial: CandidateRollout,
+    bodies: CandidateRollout,
+) -> JudgedCandidate:
     """The first candidate whose path stays clear of everything. If there is none, the best by `_better`, where vehicles
     with a distance obligation brake at once and have to stay behind the ego's body.
 
     Parameters
     ----------
-    body : extents of the ego without its buffer. courses : rows of `Course`, (c, 6).
+    body : extents of the ego without its buffer. courses : rows of `EgoManoeuvre`, (c, 6).
     trial : rollout buffer; it is left with the rollout of the chosen candidate, with distance obligations assumed to be
         kept.
     bodies : rollout buffer for the ego without its buffer.
     """
-    best, owed = Choice(-1, -np.inf, -1, -1, -np.inf, np.inf), others.owes.any()
+    best, owed = JudgedCandidate(-1, -np.inf, -1, -1, -np.inf, np.inf), others.owes.any()
     for k in range(courses.shape[0]):
         way = _follow(alone, road, others, courses[k], trial)
-        found = _weigh(road, others, way, STRICT, trial, trial)
-        if found.margin >= MADE:
+        found = _weigh(road, others, way, AFTER_REACTION, trial, trial)
+        if found.margin >= NEW_PATH_MARGIN:
             return _at(found, k)
-        if best.margin >= MADE:
+        if best.margin >= NEW_PATH_MARGIN:
             continue
         if owed:
             found = _ask(road, body, others, way, trial, bodies)
         else:
-            found = _weigh(road, others, way, BELIEVED, trial, trial)
+            found = _weigh(road, others, way, ASSUMED_KEPT, trial, trial)
         if _better(found, best):
             best = _at(found, k)
     if best.course >= 0:
-        try_course(alone, road, others, courses[best.course], True, trial)
+        try_candidate(alone, road, others, courses[best.course], True, trial)
     return best

@@ -2,11 +2,11 @@
 
 Notation
 --------
-As in `dynamics.road_networks.reachable.strips`: a *reachable interval* is a strip, a row of `Others.marks` and
-`Others.numbers`. The ego's footprint with its buffer covers s from `box[0]` to `box[1]` of a lane, and r from `box[2]`
-to `box[3]`. A vehicle that has driven x towards that lane is within its band, at s between x - FAR - HALF and x - NEAR
-+ HALF. The *separation* is the greater of the gaps along and across the lane. It is negative where the footprints
-overlap in both.
+As in `dynamics.road_networks.reachable.strips`: a *reachable interval* is a strip, a row of `NetworkVehicles.marks` and
+`NetworkVehicles.numbers`. The ego's footprint with its buffer covers s from `box[0]` to `box[1]` of a lane, and r from
+`box[2]` to `box[3]`. A vehicle that has driven x towards that lane is within its band, at s between x - FAR - HALF and
+x - NEAR + HALF. The *separation* is the greater of the gaps along and across the lane. It is negative where the
+footprints overlap in both.
 
 Followers. A vehicle that approaches from behind in the ego's lane brakes for the ego at `Duty.braking` or harder. It
 begins `Duty.reaction` frames after the ego has become visible in the lane. Unless `Duty.ahead` is set, no vehicle looks
@@ -30,18 +30,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.layout import LANE_LENGTH
-from dynamics.road_networks.geometry.lanes import Lanes
+from dynamics.road_networks.geometry.lanes import NetworkLanes
 from dynamics.road_networks.geometry.layout import AMPLITUDE, PULSATION, SHAPE, SINE
 from dynamics.road_networks.reachable.strips import (
     ALWAYS,
-    BACK,
+    BODY_HALF,
+    CENTRED_FROM,
+    CENTRED_HALF,
     FAR,
     FRONT,
-    HALF,
     HIGH,
-    KEEP,
     LOW,
     NEAR,
     SEVERAL,
@@ -50,34 +50,42 @@ from dynamics.road_networks.reachable.strips import (
     is_dead_end,
 )
 from dynamics.state import BoolArray, FloatArray, Vehicle
-from dynamics.traffic.rules_of_the_road import Ego, gap_between
+from dynamics.traffic.rules_of_the_road import EgoFootprint, gap_between
 from shield.certificate.network.projection import FAR_OFF
-from shield.certificate.network.workspace import Others, Road, Trial
+from shield.certificate.network.workspace import CandidateRollout, NetworkContext, NetworkVehicles
 
-__all__ = ["ASKED", "BELIEVED", "CLEAR", "MADE", "STRICT", "find_coming_over", "judge"]
+__all__ = [
+    "AFTER_REACTION",
+    "ASSUMED_KEPT",
+    "BRAKING_AT_ONCE",
+    "CLEAR",
+    "NEW_PATH_MARGIN",
+    "find_merging",
+    "least_separation",
+]
 
 _LENGTH, _SPEED = int(Vehicle.LENGTH), int(Vehicle.SPEED)
-STRICT, BELIEVED, ASKED = 0, 1, 2
+AFTER_REACTION, ASSUMED_KEPT, BRAKING_AT_ONCE = 0, 1, 2
 """What is assumed of vehicles with a distance obligation:
 
-- `STRICT`: as any follower, they react after the reaction time and have to stay behind the buffer.
-- `BELIEVED`: they keep their distance.
-- `ASKED`: they brake at once, and have to stay behind the ego's body by braking so.
+- `AFTER_REACTION`: as any follower, they react after the reaction time and have to stay behind the buffer.
+- `ASSUMED_KEPT`: they keep their distance.
+- `BRAKING_AT_ONCE`: they brake at once, and have to stay behind the ego's body by braking so.
 """
 
 CLEAR = -1e-6
 """Least margin of a path that counts as clear [m]; a smaller one is more than a rounding error."""
-MADE = -1e-9
+NEW_PATH_MARGIN = -1e-9
 """Least margin of a newly chosen path [m]. The difference to `CLEAR` is a budget for rounding and for the tolerances of
 `shield.certificate.network.monitor`. They reduce the margin of a path frame by frame, and add up."""
 _NEARLY = 1e-3
 """Distances to one lane that differ by less count as equal [m]."""
-_ENDLESS = 100_000
+_FRAME_LIMIT = 100_000
 """Frame limit; a follower that still moves after this many frames is taken as unable to stop."""
 
 
-@uncounted
-def _sag(lanes: Lanes, lane: int, length: float, way: float) -> float:
+@kernel_no_refcount
+def _tangent_displacement(lanes: NetworkLanes, lane: int, length: float, way: float) -> float:
     """Displacement of the front of a body across the lane [m], if the body points along the lane and moves straight on
     for `way` [m]; `length` is that of the body [m]."""
     bend = curvature(lanes, lane)
@@ -86,17 +94,17 @@ def _sag(lanes: Lanes, lane: int, length: float, way: float) -> float:
     return 0.5 * bend * (length * way + way * way)
 
 
-@uncounted
-def _sag_of(others: Others, road: Road, j: int) -> float:
-    """Upper bound on `_sag` [m] within one frame, for the vehicle of reachable interval j."""
+@kernel_no_refcount
+def _sag_of(others: NetworkVehicles, road: NetworkContext, j: int) -> float:
+    """Upper bound on `_tangent_displacement` [m] within one frame, for the vehicle of reachable interval j."""
     i = others.marks[j, 0]
     row = others.rows[i]
     way = max(others.drive[i, 0], row[_SPEED], 0.0) * road.period
-    return _sag(road.lanes, others.marks[j, 1], row[_LENGTH], way)
+    return _tangent_displacement(road.lanes, others.marks[j, 1], row[_LENGTH], way)
 
 
-@uncounted
-def _aside(road: Road, lane: int, its: float, speed: float) -> float:
+@kernel_no_refcount
+def _extra_lateral_gap(road: NetworkContext, lane: int, its: float, speed: float) -> float:
     """Lateral separation [m] that the ego's body and another body need beyond the ego's buffer.
 
     highway-env moves both bodies straight on for the coming frame and counts a collision if they meet. On a curved lane
@@ -104,20 +112,20 @@ def _aside(road: Road, lane: int, its: float, speed: float) -> float:
     `speed` the ego's [m/s].
     """
     body = road.body
-    own = _sag(road.lanes, lane, 2 * body.length, max(speed, 0.0) * road.period)
+    own = _tangent_displacement(road.lanes, lane, 2 * body.length, max(speed, 0.0) * road.period)
     return max(max(its, own) - (body.across - body.width), 0.0)
 
 
-@inlined
-def _beside(box: FloatArray, row: FloatArray, aside: float) -> float:
-    """Gap across the lane between the ego's box and a reachable interval, less `aside` [m]. Beyond `BACK`, a vehicle
-    that came from beside the centre is back within `KEEP` of it."""
-    if box[0] - row[HALF] + row[NEAR] >= row[BACK]:
-        return max(box[2] - row[KEEP], -row[KEEP] - box[3]) - aside
+@kernel_inline
+def _lateral_gap(box: FloatArray, row: FloatArray, aside: float) -> float:
+    """Gap across the lane between the ego's box and a reachable interval, less `aside` [m]. Beyond `CENTRED_FROM`, a
+    vehicle that came from beside the centre is back within `CENTRED_HALF` of it."""
+    if box[0] - row[BODY_HALF] + row[NEAR] >= row[CENTRED_FROM]:
+        return max(box[2] - row[CENTRED_HALF], -row[CENTRED_HALF] - box[3]) - aside
     return max(box[2] - row[HIGH], row[LOW] - box[3]) - aside
 
 
-@inlined
+@kernel_inline
 def _arrival(v: float, way: float, drive: FloatArray, acceleration: float, dt: float) -> float:
     """Upper bound on the speed [m/s] of a vehicle in its first frame beyond a distance `way` [m], wherever between two
     frames it gets there.
@@ -129,7 +137,7 @@ def _arrival(v: float, way: float, drive: FloatArray, acceleration: float, dt: f
 
     Parameters
     ----------
-    v : speed now [m/s]. way : distance along the lanes [m]. drive : row of `Others.drive`, (5,).
+    v : speed now [m/s]. way : distance along the lanes [m]. drive : row of `NetworkVehicles.drive`, (5,).
     acceleration : greatest acceleration [m/s^2]. dt : frame [s].
     """
     step, most = acceleration * dt, drive[2] / drive[1]
@@ -147,8 +155,8 @@ class _Brakes(NamedTuple):
     since : frame from which it sees the ego. delay : frames from then until it brakes.
     anywhere : whether it brakes in any lane, or only where `Duty.ahead` permits.
     front : distance from its centre to its front [m]. That is `FRONT`, with the present pose, for a vehicle with a
-        distance obligation, which may not move its front further ahead. For others it is `HALF`: on an arc the front
-        moves ahead when the body drifts towards the centre of the arc, which is permitted.
+        distance obligation, which may not move its front further ahead. For others it is `BODY_HALF`: on an arc the
+        front moves ahead when the body drifts towards the centre of the arc, which is permitted.
     """
 
     since: int
@@ -157,9 +165,15 @@ class _Brakes(NamedTuple):
     front: float
 
 
-@uncounted
+@kernel_no_refcount
 def _followed(
-    others: Others, road: Road, trial: Trial, rears: FloatArray, j: int, brakes: _Brakes, rests: bool
+    others: NetworkVehicles,
+    road: NetworkContext,
+    trial: CandidateRollout,
+    rears: FloatArray,
+    j: int,
+    brakes: _Brakes,
+    rests: bool,
 ) -> float:
     """Least separation of the ego from a follower in reachable interval j that brakes for it [m]; a negative value
     where the follower cannot stay behind.
@@ -179,7 +193,7 @@ def _followed(
     v, x, waited, least, k = v0, 0.0, 0, np.inf, 0
     within, sag = row[NEAR] <= 0, _sag_of(others, road, j)
     while k <= last or (rests and v > 0.0):
-        if k > _ENDLESS:
+        if k > _FRAME_LIMIT:
             return -1.0
         m = min(k, last)
         box, rear = boxes[lane, m], rears[lane, m, 0]
@@ -188,7 +202,7 @@ def _followed(
         if k >= first and box[0] < FAR_OFF and ahead >= row[START]:
             if not rear < FAR_OFF:
                 rear = box[0]
-            beside = _beside(box, row, _aside(road, lane, sag, trial.path[m, 3]))
+            beside = _lateral_gap(box, row, _extra_lateral_gap(road, lane, sag, trial.path[m, 3]))
             least = min(least, max(rear - brakes.front - ahead, beside))
             if least < CLEAR:
                 return least
@@ -205,8 +219,8 @@ def _followed(
     return least
 
 
-@uncounted
-def _comes_over(others: Others, road: Road, j: int) -> bool:
+@kernel_no_refcount
+def _has_to_merge(others: NetworkVehicles, road: NetworkContext, j: int) -> bool:
     """Whether the vehicle of reachable interval j has to move over to the lane of j, from a lane beside it that
     ends."""
     marks, over = others.marks, road.ways.over
@@ -218,20 +232,20 @@ def _comes_over(others: Others, road: Road, j: int) -> bool:
     return comes
 
 
-@uncounted
-def find_coming_over(others: Others, road: Road, found: BoolArray) -> None:
+@kernel_no_refcount
+def find_merging(others: NetworkVehicles, road: NetworkContext, found: BoolArray) -> None:
     """For each reachable interval, whether its vehicle has to move over to the lane from one beside it that ends;
     written to `found`, (k,)."""
     for j in range(len(found)):
-        found[j] = _comes_over(others, road, j)
+        found[j] = _has_to_merge(others, road, j)
 
 
-@uncounted
-def _is_seen(others: Others, road: Road, trial: Trial, j: int, k: int) -> bool:
+@kernel_no_refcount
+def _is_seen(others: NetworkVehicles, road: NetworkContext, trial: CandidateRollout, j: int, k: int) -> bool:
     """Whether the vehicle of reachable interval j sees the ego in its lane in frame k. If it has yet to move over from
     an ending lane, the ego has to be visible in the ending lane as well."""
     while trial.seen[others.marks[j, 1], k]:
-        if not _comes_over(others, road, j):
+        if not _has_to_merge(others, road, j):
             return True
         j = others.marks[j, 2]
         if j == SEVERAL:
@@ -239,8 +253,10 @@ def _is_seen(others: Others, road: Road, trial: Trial, j: int, k: int) -> bool:
     return False
 
 
-@uncounted
-def _is_owed(others: Others, road: Road, trial: Trial, j: int, since: int, contact: int) -> bool:
+@kernel_no_refcount
+def _has_obligation(
+    others: NetworkVehicles, road: NetworkContext, trial: CandidateRollout, j: int, since: int, contact: int
+) -> bool:
     """Whether the vehicle of reachable interval j has a distance obligation in that lane up to frame `contact`. The ego
     is visible in the lane from frame `since` on.
 
@@ -262,9 +278,16 @@ def _is_owed(others: Others, road: Road, trial: Trial, j: int, since: int, conta
     return k == 0 and others.owes[i, lane] and came + CLEAR <= trial.rears[lane, 0] < FAR_OFF
 
 
-@uncounted
+@kernel_no_refcount
 def _waits(
-    others: Others, road: Road, trial: Trial, j: int, contact: int, bad: int, there: bool, lenient: bool
+    others: NetworkVehicles,
+    road: NetworkContext,
+    trial: CandidateRollout,
+    j: int,
+    contact: int,
+    bad: int,
+    there: bool,
+    lenient: bool,
 ) -> float:
     """Least separation from a vehicle with less right of way that waits before reachable interval j [m]; negative where
     it need not or cannot wait.
@@ -280,16 +303,16 @@ def _waits(
     since = contact + 1
     while since > 0 and road.rights[trial.own[since - 1]] > others.ranks[j]:
         since -= 1
-    if since > bad or row[HALF] - row[NEAR] > trial.boxes[lane, bad, 0]:
+    if since > bad or row[BODY_HALF] - row[NEAR] > trial.boxes[lane, bad, 0]:
         return -1.0
     delay, given = road.duty.reaction, others.gives[i, lane]
     if lenient and given > 0 and since == 0:
         delay = max(delay - given, 0)
-    return _followed(others, road, trial, trial.boxes, j, _Brakes(since, delay, True, row[HALF]), there)
+    return _followed(others, road, trial, trial.boxes, j, _Brakes(since, delay, True, row[BODY_HALF]), there)
 
 
-@uncounted
-def _is_shut(others: Others, road: Road, j: int) -> bool:
+@kernel_no_refcount
+def _is_blocked(others: NetworkVehicles, road: NetworkContext, j: int) -> bool:
     """Whether the ego blocks every way that leads to reachable interval j. If several lead there, each has to be
     blocked, and to have been judged before j."""
     marks, numbers, ways, before = others.marks, others.numbers, road.ways, others.marks[j, 2]
@@ -314,19 +337,25 @@ def _is_shut(others: Others, road: Road, j: int) -> bool:
     return some
 
 
-@uncounted
-def judge(
-    others: Others, road: Road, trial: Trial, bodies: FloatArray, count: int, rests: bool, trust: int
+@kernel_no_refcount
+def least_separation(
+    others: NetworkVehicles,
+    road: NetworkContext,
+    trial: CandidateRollout,
+    bodies: FloatArray,
+    count: int,
+    rests: bool,
+    trust: int,
 ) -> tuple[float, int, int, float]:
     """Least separation from the other vehicles along the first `count` places of a path that has been projected to the
-    lanes (`shield.certificate.network.projection.survey`).
+    lanes (`shield.certificate.network.projection.project_path`).
 
     Parameters
     ----------
     trial : path and its boxes on the lanes. Its `margins`, one a vehicle, are written (m,) [m].
-    bodies : boxes of the ego's body without its buffer, (n, K, 4) [m]; read only with trust `ASKED`.
+    bodies : boxes of the ego's body without its buffer, (n, K, 4) [m]; read only with trust `BRAKING_AT_ONCE`.
     count : places of the path to judge. rests : whether the ego stays at the last of them for good.
-    trust : `STRICT`, `BELIEVED` or `ASKED`.
+    trust : `AFTER_REACTION`, `ASSUMED_KEPT` or `BRAKING_AT_ONCE`.
 
     Returns
     -------
@@ -339,7 +368,9 @@ def judge(
     margins[:] = np.inf
     for j in range(others.things.shape[0]):
         for k in range(count):
-            ego = Ego(path[k, 0], path[k, 1], path[k, 2], path[k, 3], body.along, body.across, 0.0, 0.0, False, False)
+            ego = EgoFootprint(
+                path[k, 0], path[k, 1], path[k, 2], path[k, 3], body.along, body.across, 0.0, 0.0, False, False
+            )
             gap = gap_between(ego, body.along, body.across, others.things, j, 0.0)
             gap = min(gap, gap_between(ego, body.length, body.width, others.things, j, dt))
             if gap < 0:
@@ -350,7 +381,7 @@ def judge(
     for j in range(others.found[0]):
         i, lane, row = others.marks[j, 0], others.marks[j, 1], others.numbers[j]
         first, last = met[lane, 0], met[lane, 1]
-        others.shut[j], others.waits[j] = _is_shut(others, road, j), False
+        others.shut[j], others.waits[j] = _is_blocked(others, road, j), False
         if others.shut[j] or last < first:
             continue
         end = ALWAYS if is_dead_end(road.ways, lane) else rows[lane, LANE_LENGTH]
@@ -365,7 +396,7 @@ def judge(
             box = boxes[lane, k]
             if not box[0] < FAR_OFF:
                 continue
-            beside = _beside(box, row, _aside(road, lane, sag, path[k, 3]))
+            beside = _lateral_gap(box, row, _extra_lateral_gap(road, lane, sag, path[k, 3]))
             # Both vehicles move between two frames: of one that rolls back the later frame counts.
             back = min(others.least[i, max(k - 1, 0)], others.least[i, k + 1]) - row[FAR]
             ahead = others.most[i, k + 1] - row[NEAR]
@@ -376,7 +407,7 @@ def judge(
             back, ahead = max(back, row[START]), min(ahead, max(end, -row[NEAR]))
             if back > ahead:
                 continue
-            along = max(box[0] - row[HALF] - ahead, back - row[HALF] - box[1])
+            along = max(box[0] - row[BODY_HALF] - ahead, back - row[BODY_HALF] - box[1])
             gap = max(along, beside)
             least = min(least, gap)
             if gap < 0:
@@ -388,14 +419,14 @@ def judge(
             # Followers that see the ego from frame `since` on.
             box = boxes[lane, bad]
             if since <= contact:
-                start = -row[NEAR] + row[HALF] <= box[0]
-                owed = trust != STRICT and _is_owed(others, road, trial, j, since, contact)
-                asked = owed and trust == ASKED
-                if owed and trust == BELIEVED:
+                start = -row[NEAR] + row[BODY_HALF] <= box[0]
+                owed = trust != AFTER_REACTION and _has_obligation(others, road, trial, j, since, contact)
+                asked = owed and trust == BRAKING_AT_ONCE
+                if owed and trust == ASSUMED_KEPT:
                     others.shut[j] = closes and contact == count - 1
                     least, bad = np.inf, count
                 elif start or asked:
-                    brakes = _Brakes(since, road.duty.reaction, road.duty.ahead, row[HALF])
+                    brakes = _Brakes(since, road.duty.reaction, road.duty.ahead, row[BODY_HALF])
                     if asked:
                         brakes = _Brakes(0, 0, True, row[FRONT])
                     stays = _followed(others, road, trial, bodies if asked else boxes, j, brakes, there)
@@ -403,7 +434,7 @@ def judge(
                         others.shut[j] = closes and contact == count - 1
                         least, bad = stays, count
             if least < 0 and road.duty.gives_way:
-                stays = _waits(others, road, trial, j, contact, bad, there, trust != STRICT)
+                stays = _waits(others, road, trial, j, contact, bad, there, trust != AFTER_REACTION)
                 if stays >= CLEAR:
                     others.shut[j], others.waits[j] = closes and contact == count - 1, True
                     least, bad = stays, count

@@ -8,19 +8,25 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.road_networks.simulation.ego_alone import Alone, Course
+from dynamics.road_networks.simulation.ego_alone import EgoManoeuvre, EgoOnNetwork
 from dynamics.state import FloatArray
-from shield.certificate.network.choice import ask, try_course
-from shield.certificate.network.clearance import CLEAR, MADE
-from shield.certificate.network.mitigation import bare
-from shield.certificate.network.monitor import Seen
-from shield.certificate.network.workspace import Body, Others, Road, Trial, empty_trial
+from shield.certificate.network.choice import try_candidate, try_with_braking
+from shield.certificate.network.clearance import CLEAR, NEW_PATH_MARGIN
+from shield.certificate.network.mitigation import without_buffer
+from shield.certificate.network.monitor import NetworkObservation
+from shield.certificate.network.workspace import (
+    CandidateRollout,
+    EgoExtents,
+    NetworkContext,
+    NetworkVehicles,
+    empty_rollout,
+)
 
-__all__ = ["Braking"]
+__all__ = ["LateBraking"]
 
 
 @dataclass(slots=True, eq=False)
-class Braking:
+class LateBraking:
     """Separation of the vehicles with a distance obligation from the ego's body, if they brake at once.
 
     Attributes
@@ -30,27 +36,34 @@ class Braking:
     stays : separation of each vehicle that had an obligation when `remember` was called [m].
     """
 
-    alone: Alone
-    road: Road
-    body: Body
-    trial: Trial
-    bodies: Trial
+    alone: EgoOnNetwork
+    road: NetworkContext
+    body: EgoExtents
+    trial: CandidateRollout
+    bodies: CandidateRollout
     stays: dict[Any, float]
 
     @classmethod
-    def on(cls, alone: Alone, road: Road, frames: int, stays: dict[Any, float]) -> Braking:
+    def on(cls, alone: EgoOnNetwork, road: NetworkContext, frames: int, stays: dict[Any, float]) -> LateBraking:
         """Braking on a road, with rollout buffers for paths of at most `frames` frames; `stays` comes from the road
         before."""
         lanes = len(road.ways.over)
-        return cls(alone, road, bare(road).body, empty_trial(frames, lanes, 0), empty_trial(frames, lanes, 0), stays)
+        return cls(
+            alone,
+            road,
+            without_buffer(road).body,
+            empty_rollout(frames, lanes, 0),
+            empty_rollout(frames, lanes, 0),
+            stays,
+        )
 
-    def remember(self, course: Course, who: list[Any], others: Others) -> None:
+    def remember(self, course: EgoManoeuvre, who: list[Any], others: NetworkVehicles) -> None:
         """Store the separation of each vehicle in `who` with a distance obligation, if the ego continues with
         `course`."""
         margins = self._margins(course, others)
         self.stays = {who[i]: float(margins[i]) for i in np.flatnonzero(others.owes.any(axis=1))}
 
-    def now(self, course: Course, seen: Seen) -> tuple[FloatArray, set[Any]]:
+    def now(self, course: EgoManoeuvre, seen: NetworkObservation) -> tuple[FloatArray, set[Any]]:
         """Judge that candidate a frame later.
 
         Returns
@@ -61,26 +74,26 @@ class Braking:
         """
         at_once = self._margins(course, seen.others)
         self._fit(seen.others)
-        try_course(self.alone, self.road, seen.others, np.array(course, float), True, self.trial)
+        try_candidate(self.alone, self.road, seen.others, np.array(course, float), True, self.trial)
         believed = self.trial.margins
         # A vehicle that is in the way even if it keeps its distance is in the way elsewhere. The braking is late before
         # the plan loses its room: the tolerances of a frame reduce the distance of a braking vehicle only afterwards.
-        too_near = (at_once < MADE) & (believed >= CLEAR)
+        too_near = (at_once < NEW_PATH_MARGIN) & (believed >= CLEAR)
         late = {b for i, b in enumerate(seen.who) if too_near[i] and self.stays.get(b, -1.0) >= CLEAR}
         return np.where(at_once < CLEAR, at_once, believed), late
 
-    def _margins(self, course: Course, others: Others) -> FloatArray:
+    def _margins(self, course: EgoManoeuvre, others: NetworkVehicles) -> FloatArray:
         """Separation of the vehicles with a distance obligation from the path of a candidate, if they brake at once,
         (m,) [m]; inf for the others."""
         owing, out = np.flatnonzero(others.owes.any(axis=1)), np.full(len(others.owes), np.inf)
         if owing.size:
             self._fit(others)
             row = np.array(course, float)
-            ask(self.alone, self.road, self.body, others, row, self.trial, self.bodies)
+            try_with_braking(self.alone, self.road, self.body, others, row, self.trial, self.bodies)
             out[owing] = self.trial.margins[owing]
         return out
 
-    def _fit(self, others: Others) -> None:
+    def _fit(self, others: NetworkVehicles) -> None:
         """Enlarge or reduce the rollout buffer to the number of vehicles."""
         if len(self.trial.margins) != len(others.owes):
-            self.trial = empty_trial(len(self.trial.path) - 1, len(self.trial.boxes), len(others.owes))
+            self.trial = empty_rollout(len(self.trial.path) - 1, len(self.trial.boxes), len(others.owes))

@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from dynamics.road_networks.simulation.ego_alone import Course
+from dynamics.road_networks.simulation.ego_alone import EgoManoeuvre
 from shield.decision import Tier
 
-__all__ = ["COMMITTED", "Wish", "courses_of", "frames_of", "gone_on_with", "stopping"]
+__all__ = ["COMMITTED", "TargetCommand", "candidates_of", "frames_of", "remainder_after_frame", "stopping"]
 
 COMMITTED = 1e3
 """Deceleration that stands for highway-env's own speed controller, which has no limit [m/s^2]."""
@@ -23,7 +23,7 @@ _GAIN = 5.0
 """Greatest speed above the present one that is tried in place of the target speed [m/s]."""
 
 
-class Wish(NamedTuple):
+class TargetCommand(NamedTuple):
     """Target command of a decision: a lane, and a speed [m/s]."""
 
     lane: int
@@ -35,26 +35,26 @@ def frames_of(frequency: float) -> int:
     return math.ceil((max(_ON) + _STOP) * frequency)
 
 
-def stopping(lane: int, braking: float) -> Course:
+def stopping(lane: int, braking: float) -> EgoManoeuvre:
     """Candidate that brakes at once in a lane, at `braking` [m/s^2]."""
-    return Course(lane, 0.0, COMMITTED, 0, 0, braking)
+    return EgoManoeuvre(lane, 0.0, COMMITTED, 0, 0, braking)
 
 
-def gone_on_with(course: Course, bound: int) -> Course:
+def remainder_after_frame(course: EgoManoeuvre, bound: int) -> EgoManoeuvre:
     """Remainder of a candidate after a frame, in which the ego's target lane has become `bound`."""
     aside = 0 if course.frames < 1 else course.aside
     return course._replace(lane=bound, frames=max(course.frames - 1, 0), aside=aside)
 
 
-def courses_of(
-    wish: Wish,
-    stored: Course | None,
+def candidates_of(
+    wish: TargetCommand,
+    stored: EgoManoeuvre | None,
     speed: float,
     bound: Sequence[int],
     several: bool,
     frequency: float,
     braking: float,
-) -> Iterator[tuple[Course, Tier]]:
+) -> Iterator[tuple[EgoManoeuvre, Tier]]:
     """Candidates in order, each with its tier if it is clear: the target command first, then those close to it.
 
     Parameters
@@ -69,15 +69,15 @@ def courses_of(
         yield stored, Tier.PASSED
     for aside in (0, -1, 1) if several else (0,):
         for n in frames:
-            yield Course(wish.lane, wish.speed, COMMITTED, n, aside, braking), Tier.PASSED
+            yield EgoManoeuvre(wish.lane, wish.speed, COMMITTED, n, aside, braking), Tier.PASSED
     top = max(min(wish.speed, speed + _GAIN), 0.0)
     lanes = list(dict.fromkeys([wish.lane, *([] if stored is None else [stored.lane]), *bound]))
     for lane in lanes:
         for k in range(1 if lane == wish.lane else 0, _SPEEDS + 1):
-            yield Course(lane, top * (1 - k / _SPEEDS), braking, 1, 0, braking), Tier.GOVERNED
+            yield EgoManoeuvre(lane, top * (1 - k / _SPEEDS), braking, 1, 0, braking), Tier.GOVERNED
     if stored is not None:
         yield stored, Tier.GOVERNED
     for lane in lanes:
         for k in range(0, _SPEEDS + 1, 2):
             for n in frames[2:]:
-                yield Course(lane, top * (1 - k / _SPEEDS), braking, n, 0, braking), Tier.GOVERNED
+                yield EgoManoeuvre(lane, top * (1 - k / _SPEEDS), braking, n, 0, braking), Tier.GOVERNED

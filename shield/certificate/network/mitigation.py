@@ -4,44 +4,50 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynamics.road_networks.simulation.ego_alone import Alone
+from dynamics.road_networks.simulation.ego_alone import EgoOnNetwork
 from dynamics.state import FloatArray
-from shield.certificate.network.choice import Choice, choose, try_course
+from shield.certificate.network.choice import JudgedCandidate, choose, try_candidate
 from shield.certificate.network.clearance import CLEAR
 from shield.certificate.network.manoeuvres import COMMITTED
-from shield.certificate.network.workspace import Others, Road, Trial
+from shield.certificate.network.workspace import CandidateRollout, NetworkContext, NetworkVehicles
 
-__all__ = ["bare", "save"]
+__all__ = ["mitigate", "without_buffer"]
 
 _SPEED, _GENTLE = 1, 2
 """Columns of `Course` rows."""
 
 
-def bare(road: Road) -> Road:
+def without_buffer(road: NetworkContext) -> NetworkContext:
     """The same road for an ego without a buffer."""
     return road._replace(body=road.body._replace(along=road.body.length, across=road.body.width))
 
 
-def save(
-    alone: Alone, road: Road, others: Others, courses: FloatArray, speed: float, trial: Trial, bodies: Trial
-) -> Choice:
+def mitigate(
+    alone: EgoOnNetwork,
+    road: NetworkContext,
+    others: NetworkVehicles,
+    courses: FloatArray,
+    speed: float,
+    trial: CandidateRollout,
+    bodies: CandidateRollout,
+) -> JudgedCandidate:
     """The candidate that keeps the ego's body clear, or keeps it clear for longest. A candidate faster than now has to
     be better than every slower one.
 
     Parameters
     ----------
-    road : as returned by `bare`. courses : rows of `Course`, (c, 6). speed : of the ego now [m/s].
+    road : as returned by `without_buffer`. courses : rows of `Course`, (c, 6). speed : of the ego now [m/s].
     trial : rollout buffer, left with the rollout of the chosen candidate. bodies : as in `choose`.
     """
     slow = (courses[:, _SPEED] <= speed) & (courses[:, _GENTLE] < COMMITTED)
     slower, faster = np.flatnonzero(slow), np.flatnonzero(~slow)
-    least: Choice = choose(alone, road, road.body, others, courses[slower], trial, bodies)
+    least: JudgedCandidate = choose(alone, road, road.body, others, courses[slower], trial, bodies)
     if least.margin < CLEAR:
-        most: Choice = choose(alone, road, road.body, others, courses[faster], trial, bodies)
+        most: JudgedCandidate = choose(alone, road, road.body, others, courses[faster], trial, bodies)
         # A candidate clear of everything except violators comes before one that is clear for longer.
         longer = most.clear > least.clear and (most.innocent >= CLEAR or least.innocent < CLEAR)
         if most.margin >= CLEAR or longer:
             return most._replace(course=int(faster[most.course]))
         # The rollout buffer holds the candidate judged last.
-        try_course(alone, road, others, courses[slower[least.course]], True, trial)
+        try_candidate(alone, road, others, courses[slower[least.course]], True, trial)
     return least._replace(course=int(slower[least.course]))

@@ -36,26 +36,36 @@ from typing import Any
 import numpy as np
 
 from dynamics.errors import SceneError
-from dynamics.road_networks.reachable.strips import BACK, FAR, FRONT, HALF, HIGH, KEEP, LOW, NEAR, START
+from dynamics.road_networks.reachable.strips import (
+    BODY_HALF,
+    CENTRED_FROM,
+    CENTRED_HALF,
+    FAR,
+    FRONT,
+    HIGH,
+    LOW,
+    NEAR,
+    START,
+)
 from dynamics.state import FloatArray, IntArray, Vehicle
-from shield.certificate.network.clearance import CLEAR, MADE
-from shield.certificate.network.workspace import Others, Road
+from shield.certificate.network.clearance import CLEAR, NEW_PATH_MARGIN
+from shield.certificate.network.workspace import NetworkContext, NetworkVehicles
 
-__all__ = ["Breach", "Seen", "Watch", "check_readable"]
+__all__ = ["NetworkMonitor", "NetworkObservation", "NetworkRule", "check_readable"]
 
 _SLACK, _PLACE, _SAME = 1e-10, 1e-10, 1e-10
 """Bounds on the rounding errors of a frame in a speed [m/s], a place [m] and a size [m]. They add up: a path begins
-with `MADE` and the rules are checked below that. The rest to `CLEAR` is enough for some hundred frames: each may take
-10 s times the first of these and a few times the second."""
+with `NEW_PATH_MARGIN` and the rules are checked below that. The rest to `CLEAR` is enough for some hundred frames:
+each may take 10 s times the first of these and a few times the second."""
 _SHARE = 1e-12
-"""The same for a row of `Others.drive`, which is multiplied by the whole length of a path."""
+"""The same for a row of `NetworkVehicles.drive`, which is multiplied by the whole length of a path."""
 _STILL = 1e-6
 """A body whose band moves by less in a frame has not moved across its lane [m]; rounding on arcs is less."""
 _CORNERS = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
 """Corners of a rectangle, as shares of its length and width, (4, 2)."""
 
 
-class Breach(StrEnum):
+class NetworkRule(StrEnum):
     """The rules that a vehicle can violate. The value is the name of the rule in reports."""
 
     SPEED = "speed"
@@ -71,7 +81,7 @@ class Breach(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class NetworkObservation:
     """A scene as the monitor keeps it.
 
     Attributes
@@ -84,13 +94,13 @@ class Seen:
     """
 
     who: list[Any]
-    others: Others
+    others: NetworkVehicles
     stand: tuple[Any, ...] = ()
     unreadable: Mapping[Any, frozenset[Vehicle]] = field(default_factory=dict)
     colliding: Mapping[Any, bool] = field(default_factory=dict)
 
 
-def check_readable(seen: Seen) -> None:
+def check_readable(seen: NetworkObservation) -> None:
     """Raise if a body could not be read.
 
     Raises
@@ -104,7 +114,7 @@ def check_readable(seen: Seen) -> None:
 
 
 @dataclass(slots=True, eq=False)
-class Watch:
+class NetworkMonitor:
     """Monitor of the other vehicles in one episode.
 
     Attributes
@@ -116,10 +126,10 @@ class Watch:
     culprits : vehicles with any violation in this episode.
     """
 
-    last: Seen | None = None
-    breaking: dict[Any, set[Breach]] = field(default_factory=dict)
+    last: NetworkObservation | None = None
+    breaking: dict[Any, set[NetworkRule]] = field(default_factory=dict)
     offenders: set[Any] = field(default_factory=set)
-    by_rule: dict[Breach, int] = field(default_factory=dict)
+    by_rule: dict[NetworkRule, int] = field(default_factory=dict)
     culprits: set[Any] = field(default_factory=set)
 
     @property
@@ -127,7 +137,9 @@ class Watch:
         """Number of violations in this episode."""
         return sum(self.by_rule.values())
 
-    def next(self, now: Seen, clear: set[Any], margins: FloatArray | None, road: Road, late: set[Any]) -> None:
+    def next(
+        self, now: NetworkObservation, clear: set[Any], margins: FloatArray | None, road: NetworkContext, late: set[Any]
+    ) -> None:
         """Check the motions from the last scene to the one a frame later.
 
         Parameters
@@ -149,24 +161,24 @@ class Watch:
         there = set(now.who)
         for body in last.who:
             if body not in there and getattr(body, "crashed", False):
-                self._name(body, {Breach.CRASH})
+                self._name(body, {NetworkRule.CRASH})
         for body, broken in _of_standing(last, now):
             breaking[body] = broken
             self._name(body, broken - self.breaking.get(body, set()))
         for i, body in enumerate(now.who):
             hits = margins is not None and body in now.colliding
             suffers = margins is not None and bool(margins[i] < CLEAR)
-            less = margins is not None and bool(margins[i] < MADE)
+            less = margins is not None and bool(margins[i] < NEW_PATH_MARGIN)
             j = before.get(body)
             if j is None:
-                broken = {Breach.APPEARED} if suffers or hits else set()
+                broken = {NetworkRule.APPEARED} if suffers or hits else set()
             else:
                 suffers, less, hits = suffers and body in clear, less and body in clear, hits and body in clear
                 broken = self._broken(last.others, j, now.others, i, road, less or hits, body in late)
                 if hits and now.colliding[body]:
-                    broken.add(Breach.WAYS)
+                    broken.add(NetworkRule.WAYS)
                 if (suffers or hits) and not broken and body not in self.offenders:
-                    broken = {Breach.UNFORESEEN}
+                    broken = {NetworkRule.UNFORESEEN}
             if broken:
                 breaking[body] = broken
                 self._name(body, broken - self.breaking.get(body, set()))
@@ -176,13 +188,13 @@ class Watch:
                 self.offenders.discard(body)
         self.breaking = breaking
 
-    def _name(self, body: Any, rules: set[Breach]) -> None:
+    def _name(self, body: Any, rules: set[NetworkRule]) -> None:
         """Count the rules that a vehicle begins to violate."""
         self.culprits.add(body)
         for rule in rules:
             self.by_rule[rule] = self.by_rule.get(rule, 0) + 1
 
-    def judge(self, now: Seen, who: set[Any], road: Road, late: set[Any]) -> set[Any]:
+    def judge(self, now: NetworkObservation, who: set[Any], road: NetworkContext, late: set[Any]) -> set[Any]:
         """Those of the vehicles `who` that have violated a rule so far, or do so from the last scene to this one. The
         rules are checked whether or not the fail-safe loses its room; `late` as in `next`."""
         found = who & self.culprits
@@ -196,7 +208,16 @@ class Watch:
                     found.add(body)
         return found
 
-    def _broken(self, old: Others, j: int, new: Others, i: int, road: Road, suffers: bool, late: bool) -> set[Breach]:
+    def _broken(
+        self,
+        old: NetworkVehicles,
+        j: int,
+        new: NetworkVehicles,
+        i: int,
+        road: NetworkContext,
+        suffers: bool,
+        late: bool,
+    ) -> set[NetworkRule]:
         """Rules that vehicle j of the last scene has violated on its way to being vehicle i of the new one.
 
         `suffers` is whether the fail-safe loses its room to it, `late` whether it can no longer keep its distance by
@@ -207,38 +228,38 @@ class Watch:
         slowest = v0 - conduct.braking * dt
         fastest = max(min(v0 + conduct.acceleration * dt, old.drive[j, 0]), v0)
         if not slowest - _SLACK <= v <= fastest + _SLACK:
-            broken.add(Breach.SPEED)
+            broken.add(NetworkRule.SPEED)
         if suffers and v < 0:
-            broken.add(Breach.REVERSING)
+            broken.add(NetworkRule.REVERSING)
         if suffers and (new.rows[i, 4:6] > old.rows[j, 4:6] + _SAME).any():
-            broken.add(Breach.GROWN)
+            broken.add(NetworkRule.GROWN)
         if suffers and not _inside(old, j, new, i):
-            broken.add(Breach.WAYS)
+            broken.add(NetworkRule.WAYS)
         if v > max(v0 - road.duty.braking * dt, 0.0) + _SLACK:
             if late:
-                broken.add(Breach.DISTANCE)
+                broken.add(NetworkRule.DISTANCE)
             if suffers and new.gives[i].max(initial=0) > road.duty.reaction:
-                broken.add(Breach.RIGHT_OF_WAY)
+                broken.add(NetworkRule.RIGHT_OF_WAY)
         return broken
 
 
-def _of_column(column: Vehicle) -> Breach:
+def _of_column(column: Vehicle) -> NetworkRule:
     """The rule that a body violates if this column of its row is not finite."""
     if column is Vehicle.SPEED:
-        return Breach.SPEED
-    return Breach.GROWN if column in (Vehicle.LENGTH, Vehicle.WIDTH) else Breach.WAYS
+        return NetworkRule.SPEED
+    return NetworkRule.GROWN if column in (Vehicle.LENGTH, Vehicle.WIDTH) else NetworkRule.WAYS
 
 
-def _of_standing(last: Seen, now: Seen) -> Iterator[tuple[Any, set[Breach]]]:
+def _of_standing(last: NetworkObservation, now: NetworkObservation) -> Iterator[tuple[Any, set[NetworkRule]]]:
     """Violations by standing bodies that have appeared, or left the rectangles that they filled. A vehicle that has
-    become a wreck has crashed, which `Watch.next` counts."""
+    become a wreck has crashed, which `NetworkMonitor.next` counts."""
     before, driving = {body: i for i, body in enumerate(last.stand)}, set(last.who)
     for i, body in enumerate(now.stand):
         if body not in before:
             if body not in driving or not getattr(body, "crashed", False):
-                yield body, {Breach.APPEARED}
+                yield body, {NetworkRule.APPEARED}
         elif _leaves(last.others.things[before[body]], now.others.things[i]):
-            yield body, {Breach.MOVED}
+            yield body, {NetworkRule.MOVED}
 
 
 def _leaves(old: FloatArray, new: FloatArray) -> bool:
@@ -253,13 +274,13 @@ def _axes(heading: float) -> FloatArray:
     return np.array([[cos, sin], [-sin, cos]])
 
 
-def _inside(old: Others, j: int, new: Others, i: int) -> bool:
+def _inside(old: NetworkVehicles, j: int, new: NetworkVehicles, i: int) -> bool:
     """Whether the reachable intervals of vehicle i begin inside those that were predicted for it a frame before, as
     vehicle j.
 
-    `shield.certificate.network.clearance.judge` reads the quantities below. None of them may become worse for the ego
-    from one frame to the next while no rule is violated. The right column names the rule that bounds each; "here" is
-    this function:
+    `shield.certificate.network.clearance.least_separation` reads the quantities below. None of them may become worse
+    for the ego from one frame to the next while no rule is violated. The right column names the rule that bounds each;
+    "here" is this function:
 
     ====================================  ==============================================================================
     speed                                 *speed*; *reversing* where it is negative
@@ -272,11 +293,11 @@ def _inside(old: Others, j: int, new: Others, i: int) -> bool:
                                           body has moved across its lane. Otherwise the judgement of the ego's own path
                                           has changed, and the loss of a plan is *unforeseen*
     `NEAR`, `FAR`                         here: the distance of a frame is between `least` and `most`
-    `LOW`, `HIGH`, `HALF`                 here
+    `LOW`, `HIGH`, `BODY_HALF`                 here
     `FRONT`                               here; it is read only for vehicles with a distance obligation
     `START`                               here, where the vehicle is so far back, or may roll back so far
-    `BACK`                                here, as `BACK - NEAR`, where the band is wider than `KEEP`
-    `KEEP`                                *grown*: on one lane it depends on the length and the width alone
+    `CENTRED_FROM`                                here, as `BACK - NEAR`, where the band is wider than `CENTRED_HALF`
+    `CENTRED_HALF`                                *grown*: on one lane it depends on the length and the width alone
     `ranks`                               here
     `owes`, `gives`                       *distance*, *right of way*: the filter keeps them
                                           (`shield.certificate.network.obligations`)
@@ -299,11 +320,11 @@ def _inside(old: Others, j: int, new: Others, i: int) -> bool:
         along &= max(row[START], rearmost - row[FAR]) >= rows[:, START] - _PLACE
         across = (row[LOW] >= rows[:, LOW] - _PLACE) & (row[HIGH] <= rows[:, HIGH] + _PLACE)
         # A vehicle beside the centre has to be back there after the same distance as before.
-        settles = (max(row[HIGH], -row[LOW]) <= row[KEEP]) | (
-            row[BACK] - row[NEAR] <= rows[:, BACK] - rows[:, NEAR] + _PLACE
+        settles = (max(row[HIGH], -row[LOW]) <= row[CENTRED_HALF]) | (
+            row[CENTRED_FROM] - row[NEAR] <= rows[:, CENTRED_FROM] - rows[:, NEAR] + _PLACE
         )
         # The front in its present pose matters for vehicles that have to stay behind the ego.
-        fits = (row[HALF] <= rows[:, HALF] + _PLACE) & (~owes | (row[FRONT] <= rows[:, FRONT] + _PLACE))
+        fits = (row[BODY_HALF] <= rows[:, BODY_HALF] + _PLACE) & (~owes | (row[FRONT] <= rows[:, FRONT] + _PLACE))
         # The plan skips intervals whose ways the ego blocks. They stay blocked where the body has moved across its
         # lane.
         kept = (new.ranks[k] <= old.ranks[same]) & (~old.shut[same] | new.shut[k] | ~shifts)
@@ -312,7 +333,7 @@ def _inside(old: Others, j: int, new: Others, i: int) -> bool:
     return True
 
 
-def _shifts(old: Others, mine: IntArray, new: Others, its: IntArray) -> bool:
+def _shifts(old: NetworkVehicles, mine: IntArray, new: NetworkVehicles, its: IntArray) -> bool:
     """Whether a body has moved across a lane that it is on, or onto another lane. `mine` and `its` are the rows of its
     reachable intervals, before and now."""
     for k in its[new.marks[its, 2] < 0]:
@@ -324,8 +345,8 @@ def _shifts(old: Others, mine: IntArray, new: Others, its: IntArray) -> bool:
 
 
 def _is_no_faster(old: FloatArray, new: FloatArray) -> bool:
-    """Whether a vehicle advances no further by a row of `Others.drive` than by that of the frame before, at any
-    speed."""
+    """Whether a vehicle advances no further by a row of `NetworkVehicles.drive` than by that of the frame before, at
+    any speed."""
     # The speed that it accelerates to; the greatest share of s gained per metre; the speed below which it gains less.
     more = new[[0, 2, 3]] <= old[[0, 2, 3]] + _SHARE
     # The least share of s gained per metre, and the share gained below that speed.

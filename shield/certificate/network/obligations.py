@@ -10,13 +10,13 @@ import numpy as np
 
 from dynamics.road_networks.reachable.strips import FRONT, NEAR
 from dynamics.state import BoolArray, IntArray
-from shield.certificate.network.clearance import CLEAR, find_coming_over
-from shield.certificate.network.workspace import Others, Road, Trial
+from shield.certificate.network.clearance import CLEAR, find_merging
+from shield.certificate.network.workspace import CandidateRollout, NetworkContext, NetworkVehicles
 
-__all__ = ["Dues", "behind"]
+__all__ = ["RightOfWayObligations", "find_followers"]
 
 
-def behind(others: Others, trial: Trial, road: Road) -> BoolArray:
+def find_followers(others: NetworkVehicles, trial: CandidateRollout, road: NetworkContext) -> BoolArray:
     """Whether each vehicle is behind the ego in each lane where the ego is visible, at the start of a path, (m, n).
 
     A vehicle with a distance obligation may enter the buffer and keeps the obligation, also in the lane that its own
@@ -28,7 +28,7 @@ def behind(others: Others, trial: Trial, road: Road) -> BoolArray:
     rear = np.where(owes, trial.rears[lanes, 0] - CLEAR, trial.boxes[lanes, 0, 0])
     there = trial.seen[lanes, 0] & (numbers[:, FRONT] - numbers[:, NEAR] <= rear)
     out, over = np.zeros(others.owes.shape, dtype=bool), np.empty(len(lanes), dtype=bool)
-    find_coming_over(others, road, over)
+    find_merging(others, road, over)
     comes = there & (((numbers[:, NEAR] > 0) & (not road.duty.ahead)) | over)
     there &= ~comes
     while there.any():
@@ -38,7 +38,7 @@ def behind(others: Others, trial: Trial, road: Road) -> BoolArray:
 
 
 @dataclass(slots=True, eq=False)
-class Dues:
+class RightOfWayObligations:
     """Obligations towards the ego, by vehicle.
 
     Attributes
@@ -51,7 +51,7 @@ class Dues:
     waits: dict[Any, dict[int, int]] = field(default_factory=dict)
 
     def tables(self, who: list[Any], lanes: int) -> tuple[BoolArray, IntArray]:
-        """`Others.owes` and `Others.gives` of these vehicles, (m, n)."""
+        """`NetworkVehicles.owes` and `NetworkVehicles.gives` of these vehicles, (m, n)."""
         owes, gives = np.zeros((len(who), lanes), dtype=bool), np.zeros((len(who), lanes), np.int64)
         for i, body in enumerate(who):
             owes[i, list(self.distance.get(body, ()))] = True
@@ -67,21 +67,25 @@ class Dues:
         """Whether a vehicle has a distance obligation towards the ego."""
         return bool(self.distance.get(body))
 
-    def keep_distance(self, who: list[Any], others: Others, trial: Trial, road: Road, verified: bool) -> None:
-        """Update the distance obligations, and write them to `Others.owes`.
+    def keep_distance(
+        self, who: list[Any], others: NetworkVehicles, trial: CandidateRollout, road: NetworkContext, verified: bool
+    ) -> None:
+        """Update the distance obligations, and write them to `NetworkVehicles.owes`.
 
         A vehicle keeps its obligation while it is behind the ego in a lane where the ego is visible. If the path of the
         ego is `verified`, every such vehicle gets one. `trial` begins where the ego is.
         """
-        there = behind(others, trial, road)
+        there = find_followers(others, trial, road)
         if not verified:
             there &= others.owes
         others.owes[:] = there
         self.distance = {body: set(np.flatnonzero(there[i]).tolist()) for i, body in enumerate(who) if there[i].any()}
 
-    def give_way(self, who: list[Any], others: Others, trial: Trial, road: Road, verified: bool) -> None:
-        """Update the vehicles that are expected to wait; `Others.waits` refers to the chosen path. If the path is not
-        `verified`, no vehicle is added."""
+    def give_way(
+        self, who: list[Any], others: NetworkVehicles, trial: CandidateRollout, road: NetworkContext, verified: bool
+    ) -> None:
+        """Update the vehicles that are expected to wait; `NetworkVehicles.waits` refers to the chosen path. If the
+        path is not `verified`, no vehicle is added."""
         self.waits = {}
         for j in np.flatnonzero(others.waits & (others.ranks < road.rights[trial.own[0]])):
             i, lane = others.marks[j, :2]

@@ -12,13 +12,13 @@ from dynamics.road_networks.geometry.network import Network
 from dynamics.state import FloatArray, IntArray, Vehicle, readable
 from shield.config import ShieldConfig
 
-__all__ = ["Traffic", "default_on", "has_crossings", "read_traffic"]
+__all__ = ["TrafficRows", "default_on", "has_crossings", "read_traffic"]
 
-_PUSHED = 0.5
+_WRECK_WIDENING = 0.5
 """Width added to a wreck [m], since highway-env pushes crashed vehicles apart."""
 
 
-class Traffic(NamedTuple):
+class TrafficRows(NamedTuple):
     """The other vehicles and objects, for m vehicles and b standing bodies.
 
     Attributes
@@ -26,7 +26,7 @@ class Traffic(NamedTuple):
     who : the simulator's vehicle objects, which identify them, (m,).
     stand : standing bodies: the objects, then the wrecks, (b,).
     rows : vehicle rows, (m, 7). own : index of each vehicle's lane, (m,).
-    routes : (m, roads), see `dynamics.road_networks.reachable.prediction.spread`.
+    routes : (m, roads), see `dynamics.road_networks.reachable.prediction.add_all_strips`.
     things : rows of the standing bodies, (b, 7). A wreck is extended by its whole sliding distance, an object by the
         distance of the coming frame.
     unreadable : bodies left out of the arrays, with the columns of `Vehicle` that are not readable.
@@ -82,7 +82,7 @@ def _sliding(body: Any) -> list[float]:
     x, y, heading, speed, length, width, crashed = _row(body)
     way = 0.5 * speed
     at = x + way * np.cos(heading), y + way * np.sin(heading)
-    return [*at, heading, 0.0, length + abs(speed), width + _PUSHED, crashed]
+    return [*at, heading, 0.0, length + abs(speed), width + _WRECK_WIDENING, crashed]
 
 
 def _lane_of(body: Any, network: Any, lanes: Mapping[tuple[str, str, int], int]) -> tuple[str, str, int]:
@@ -97,7 +97,7 @@ def _lane_of(body: Any, network: Any, lanes: Mapping[tuple[str, str, int], int])
     return start, end, lane
 
 
-def read_traffic(base: Any, network: Network, lanes: Mapping[tuple[str, str, int], int]) -> Traffic:
+def read_traffic(base: Any, network: Network, lanes: Mapping[tuple[str, str, int], int]) -> TrafficRows:
     """Read the simulator's state of an unwrapped environment.
 
     Parameters
@@ -129,4 +129,4 @@ def read_traffic(base: Any, network: Network, lanes: Mapping[tuple[str, str, int
         if route and route[0][0] == key[1]:
             # highway-env drops a road from the route a little before its end.
             routes[i, network.ids[own[i], ROAD]] = 1
-    return Traffic(who, (*objects, *wrecks), rows, own, routes, things, unreadable)
+    return TrafficRows(who, (*objects, *wrecks), rows, own, routes, things, unreadable)

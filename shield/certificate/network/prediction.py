@@ -9,24 +9,33 @@ from typing import Any
 import numpy as np
 
 from dynamics.highway_simulator.layout import LANE_LENGTH
-from dynamics.road_networks.geometry.lanes import Lanes
+from dynamics.road_networks.geometry.lanes import NetworkLanes
 from dynamics.road_networks.geometry.layout import PRIORITY
 from dynamics.road_networks.geometry.network import index_of
 from dynamics.road_networks.geometry.points import circles_of
 from dynamics.road_networks.reachable.continuations import continuations_of, leads_over
-from dynamics.road_networks.reachable.prediction import reach, spread
-from dynamics.road_networks.reachable.rights import ranks_of, rights_of
-from dynamics.road_networks.reachable.strips import HALF, HIGH, LOW, NEAR, START, Conduct, Ways, empty_strips
-from dynamics.road_networks.simulation.ego_alone import Alone
+from dynamics.road_networks.reachable.prediction import add_all_strips, distance_bounds
+from dynamics.road_networks.reachable.rights import right_of_way_by_lane, right_of_way_by_strip
+from dynamics.road_networks.reachable.strips import (
+    BODY_HALF,
+    HIGH,
+    LOW,
+    NEAR,
+    START,
+    DrivingBounds,
+    LaneContinuations,
+    empty_strips,
+)
+from dynamics.road_networks.simulation.ego_alone import EgoOnNetwork
 from dynamics.state import FloatArray, IntArray
-from shield.certificate.network.monitor import Seen
+from shield.certificate.network.monitor import NetworkObservation
 from shield.certificate.network.next_frame import collisions
-from shield.certificate.network.obligations import Dues
+from shield.certificate.network.obligations import RightOfWayObligations
 from shield.certificate.network.others import read_traffic
-from shield.certificate.network.workspace import Body, Duty, Others, Road
+from shield.certificate.network.workspace import EgoExtents, NetworkContext, NetworkFollowerResponse, NetworkVehicles
 from shield.config import ShieldConfig
 
-__all__ = ["Outlook", "road_of"]
+__all__ = ["NetworkPredictor", "network_context"]
 
 _STRIPS = 1024
 """Initial capacity, in reachable intervals."""
@@ -34,70 +43,73 @@ _BENT = 1.0
 """Bound on how much further the ego may reach in s and r than in metres, on a curved lane [m]."""
 
 
-def road_of(base: Any, alone: Alone, config: ShieldConfig) -> Road:
+def network_context(base: Any, alone: EgoOnNetwork, config: ShieldConfig) -> NetworkContext:
     """Lanes, assumptions and extents of the ego, for an unwrapped environment."""
     a, buffer, frequency = config.assumptions, config.buffer, base.config["simulation_frequency"]
     network, machine = alone.rules.network, alone.machine
-    lanes = Lanes(machine.sums, machine.loops, network.lanes, network.ids, network.near)
-    ways = Ways(*continuations_of(base.road.network), leads_over(base.road.network))
+    lanes = NetworkLanes(machine.sums, machine.loops, network.lanes, network.ids, network.near)
+    ways = LaneContinuations(*continuations_of(base.road.network), leads_over(base.road.network))
     circles = np.zeros((len(network.lanes), 3))
     circles_of(lanes, circles)
     length, width = base.vehicle.LENGTH / 2, base.vehicle.WIDTH / 2
-    return Road(
+    return NetworkContext(
         lanes=lanes,
         circles=circles,
-        rights=rights_of(network.ids[:, PRIORITY], ways),
+        rights=right_of_way_by_lane(network.ids[:, PRIORITY], ways),
         ways=ways,
-        conduct=Conduct(a.braking, a.acceleration, a.max_speed, a.waver, a.lean),
-        duty=Duty(a.follower_braking, math.ceil(a.reaction_time * frequency - 1e-9), a.looks_ahead, a.gives_way),
-        body=Body(length, width, length + buffer.longitudinal, width + buffer.lateral, a.visible_distance),
+        conduct=DrivingBounds(a.braking, a.acceleration, a.max_speed, a.waver, a.lean),
+        duty=NetworkFollowerResponse(
+            a.follower_braking, math.ceil(a.reaction_time * frequency - 1e-9), a.looks_ahead, a.gives_way
+        ),
+        body=EgoExtents(length, width, length + buffer.longitudinal, width + buffer.lateral, a.visible_distance),
         period=1 / frequency,
     )
 
 
 def _rooms(marks: IntArray, numbers: FloatArray, lengths: FloatArray) -> FloatArray:
-    """`Others.rooms` of reachable intervals, on lanes of these `lengths` [m]. They cover all that the intervals may
-    overlap, so that the judgement of one vehicle does not depend on the other vehicles present."""
+    """`NetworkVehicles.rooms` of reachable intervals, on lanes of these `lengths` [m]. They cover all that the
+    intervals may overlap, so that the judgement of one vehicle does not depend on the other vehicles present."""
     lanes, rooms = marks[:, 1], np.zeros(len(lengths))
     beyond = np.maximum(-numbers[:, START], -numbers[:, NEAR] - lengths[lanes])
-    along = numbers[:, HALF] + np.maximum(beyond, 0.0)
+    along = numbers[:, BODY_HALF] + np.maximum(beyond, 0.0)
     np.maximum.at(rooms, lanes, np.max([along, numbers[:, HIGH], -numbers[:, LOW]], axis=0) + _BENT)
     return rooms
 
 
-class Outlook:
+class NetworkPredictor:
     """Predicts the other vehicles on one road, scene after scene.
 
     Parameters
     ----------
-    base : the environment, unwrapped. alone, road : its road, see `road_of`. frames : horizon of the prediction.
+    base : the environment, unwrapped. alone, road : its road, see `network_context`. frames : horizon of the
+        prediction.
     """
 
-    def __init__(self, base: Any, alone: Alone, road: Road, frames: int) -> None:
+    def __init__(self, base: Any, alone: EgoOnNetwork, road: NetworkContext, frames: int) -> None:
         self._base, self._network, self._road, self._frames = base, alone.rules.network, road, frames
         self._index = index_of(base.road.network)
         self._names = list(self._index)
         self._strips = empty_strips(_STRIPS)
 
-    def look(self, dues: Dues) -> Seen:
+    def look(self, dues: RightOfWayObligations) -> NetworkObservation:
         """The other vehicles now, and where they can be. `dues` are their obligations towards the ego."""
         seen, road = read_traffic(self._base, self._network, self._index), self._road
         drive = np.zeros((len(seen.rows), 5))
         while True:
             strips = self._strips
             given = seen.rows, seen.own, seen.routes
-            count = spread(road.lanes, road.ways, road.conduct, *given, strips, drive)
+            count = add_all_strips(road.lanes, road.ways, road.conduct, *given, strips, drive)
             if count <= len(strips.marks):
                 break
             self._strips = empty_strips(2 * len(strips.marks))
         marks, numbers = strips.marks[:count].copy(), strips.numbers[:count].copy()
         least, most = np.zeros((2, len(seen.rows), self._frames + 3))
-        reach(road.conduct, seen.rows, drive, road.period, least, most)
+        distance_bounds(road.conduct, seen.rows, drive, road.period, least, most)
         owes, gives = dues.tables(seen.who, len(road.circles))
         ranks = np.zeros(count, np.int64)
         if road.duty.gives_way:
-            ranks_of(road.ways, road.rights, marks, ranks)
-        others = Others(
+            right_of_way_by_strip(road.ways, road.rights, marks, ranks)
+        others = NetworkVehicles(
             rows=seen.rows,
             things=seen.things,
             marks=marks,
@@ -116,4 +128,4 @@ class Outlook:
             rooms=_rooms(marks, numbers, road.lanes.rows[:, LANE_LENGTH]),
         )
         colliding = collisions(self._base, seen, marks, self._names)
-        return Seen(seen.who, others, seen.stand, seen.unreadable, colliding)
+        return NetworkObservation(seen.who, others, seen.stand, seen.unreadable, colliding)

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import kernel_no_refcount
 from dynamics.highway_simulator.layout import LANE_LENGTH
-from dynamics.road_networks.geometry.footprints import Place, Rectangle, extent_of
-from dynamics.road_networks.geometry.lanes import Lanes, heading_at, local, on_lane, unrolled
+from dynamics.road_networks.geometry.footprints import LanePoint, Rectangle, extent_of
+from dynamics.road_networks.geometry.lanes import NetworkLanes, heading_at, local, on_lane, unrolled
 from dynamics.road_networks.reachable.strips import is_dead_end, steepness
 from dynamics.state import FloatArray
-from shield.certificate.network.workspace import Body, Others, Road, Trial
+from shield.certificate.network.workspace import CandidateRollout, EgoExtents, NetworkContext, NetworkVehicles
 
-__all__ = ["FAR_OFF", "survey"]
+__all__ = ["FAR_OFF", "project_path"]
 
 FAR_OFF = 1e6
 """Stands for the least s of a body that is not near the lane [m]."""
@@ -24,8 +24,10 @@ _NEAR = 6.0
 [m]."""
 
 
-@uncounted
-def _box(lanes: Lanes, lane: int, at: Place, pose: tuple[float, float, float], body: Body, box: FloatArray) -> None:
+@kernel_no_refcount
+def _box(
+    lanes: NetworkLanes, lane: int, at: LanePoint, pose: tuple[float, float, float], body: EgoExtents, box: FloatArray
+) -> None:
     """Write the extents of the ego's footprint along and across a lane to `box`, (4,) [m].
 
     They cover the body with its buffer, and the body alone moved straight on by the coming frame's distance:
@@ -39,8 +41,15 @@ def _box(lanes: Lanes, lane: int, at: Place, pose: tuple[float, float, float], b
     box[2], box[3] = min(wide.low, bare.low), max(wide.high, bare.high)
 
 
-@uncounted
-def survey(road: Road, body: Body, others: Others, path: FloatArray, count: int, trial: Trial) -> None:
+@kernel_no_refcount
+def project_path(
+    road: NetworkContext,
+    body: EgoExtents,
+    others: NetworkVehicles,
+    path: FloatArray,
+    count: int,
+    trial: CandidateRollout,
+) -> None:
     """Project the ego with its buffer to the lanes of the other vehicles, at the first `count` places of a path (K, 4).
 
     Parameters
@@ -67,7 +76,7 @@ def survey(road: Road, body: Body, others: Others, path: FloatArray, count: int,
             if not endless and dx * dx + dy * dy > far * far:
                 continue
             s, r = local(lanes, lane, x, y)
-            at = Place(x, y, unrolled(lanes, lane, s), r)
+            at = LanePoint(x, y, unrolled(lanes, lane, s), r)
             if abs(r) > reach or at.s < -reach or not (endless or at.s <= row[LANE_LENGTH] + reach):
                 continue
             _box(lanes, lane, at, pose, body, box)

@@ -6,17 +6,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.road_networks.geometry.lanes import Lanes
-from dynamics.road_networks.reachable.strips import FAR, HALF, HIGH, LOW, NEAR, Conduct, Ways
+from dynamics.road_networks.geometry.lanes import NetworkLanes
+from dynamics.road_networks.reachable.strips import BODY_HALF, FAR, HIGH, LOW, NEAR, DrivingBounds, LaneContinuations
 from dynamics.state import BoolArray, FloatArray, IntArray
 
-__all__ = ["Body", "Duty", "Foreseen", "Others", "Road", "Trial", "empty_trial", "foreseen"]
+__all__ = [
+    "CandidateRollout",
+    "EgoExtents",
+    "NetworkContext",
+    "NetworkFollowerResponse",
+    "NetworkPrediction",
+    "NetworkVehicles",
+    "empty_rollout",
+    "prediction_of",
+]
 
 _STANDS = 1e-6
 """A slower vehicle counts as standing [m/s]."""
 
 
-class Body(NamedTuple):
+class EgoExtents(NamedTuple):
     """Extents of the ego.
 
     Attributes
@@ -33,7 +42,7 @@ class Body(NamedTuple):
     visible: float
 
 
-class Duty(NamedTuple):
+class NetworkFollowerResponse(NamedTuple):
     """Follower response model: how vehicles behind the ego in its lane brake for it.
 
     Attributes
@@ -49,7 +58,7 @@ class Duty(NamedTuple):
     gives_way: bool
 
 
-class Others(NamedTuple):
+class NetworkVehicles(NamedTuple):
     """Where the other vehicles can be, for m vehicles, b standing bodies, k reachable intervals, n lanes and K frames.
 
     Attributes
@@ -88,7 +97,7 @@ class Others(NamedTuple):
     rooms: FloatArray
 
 
-class Foreseen(NamedTuple):
+class NetworkPrediction(NamedTuple):
     """The prediction that a decision was based on, for m vehicles, k reachable intervals and K frames.
 
     Attributes
@@ -113,7 +122,7 @@ class Foreseen(NamedTuple):
     waits: BoolArray
 
 
-class Road(NamedTuple):
+class NetworkContext(NamedTuple):
     """What is constant in an episode: lanes and assumptions.
 
     Attributes
@@ -123,17 +132,17 @@ class Road(NamedTuple):
     body : extents of the ego. period : duration of a frame [s].
     """
 
-    lanes: Lanes
+    lanes: NetworkLanes
     circles: FloatArray
     rights: IntArray
-    ways: Ways
-    conduct: Conduct
-    duty: Duty
-    body: Body
+    ways: LaneContinuations
+    conduct: DrivingBounds
+    duty: NetworkFollowerResponse
+    body: EgoExtents
     period: float
 
 
-class Trial(NamedTuple):
+class CandidateRollout(NamedTuple):
     """Rollout buffer of one candidate manoeuvre, for K frames, n lanes and m vehicles; written by `drive`, `survey` and
     `judge`.
 
@@ -160,9 +169,9 @@ class Trial(NamedTuple):
     margins: FloatArray
 
 
-def empty_trial(frames: int, lanes: int, vehicles: int) -> Trial:
+def empty_rollout(frames: int, lanes: int, vehicles: int) -> CandidateRollout:
     """Rollout buffer for paths of at most `frames` frames."""
-    return Trial(
+    return CandidateRollout(
         np.zeros((frames + 1, 4)),
         np.zeros(2),
         np.zeros(frames + 1, np.int64),
@@ -175,15 +184,17 @@ def empty_trial(frames: int, lanes: int, vehicles: int) -> Trial:
     )
 
 
-def foreseen(others: Others, trial: Trial, names: list[tuple[str, str, int]]) -> Foreseen:
+def prediction_of(
+    others: NetworkVehicles, trial: CandidateRollout, names: list[tuple[str, str, int]]
+) -> NetworkPrediction:
     """The prediction behind a decision, from the rollout buffer of its path; `names` are highway-env's names of the
     lanes."""
     vehicles, lanes, _ = others.marks.T
     numbers, path = others.numbers, trial.path
     stands = np.flatnonzero(np.abs(path[1:, 3]) < _STANDS)
     frames = min(stands[0] + 2 if stands.size else len(path), others.least.shape[1])
-    half = numbers[:, HALF]
-    return Foreseen(
+    half = numbers[:, BODY_HALF]
+    return NetworkPrediction(
         rows=others.rows.copy(),
         path=path[:frames].copy(),
         vehicles=vehicles.copy(),

@@ -12,18 +12,18 @@ import numpy as np
 
 from dynamics.scenes.scene import Scene
 from dynamics.state import BoolArray, FloatArray, IntArray, RoadState, State, Vehicle
-from dynamics.traffic.occupancy import Before, Surroundings
+from dynamics.traffic.occupancy import OtherVehicles, PreviousVehicles
 from dynamics.vehicle.controllers import KP_SPEED
 from dynamics.vehicle.rollouts import Rollouts
-from shield.certificate.road.clauses.followers import lanes_held
+from shield.certificate.road.clauses.followers import updated_lanes
 from shield.certificate.road.clauses.others import TOUCH
 from shield.certificate.road.manoeuvres import Manoeuvres, brake_candidates
-from shield.certificate.road.monitor import Stillness, Watch
-from shield.certificate.road.nesting import nested
-from shield.certificate.road.verify import Binding, Clearance, Surveyor, footprint_of
+from shield.certificate.road.monitor import ParkingMonitor, RoadMonitor
+from shield.certificate.road.nesting import shrink_bounds
+from shield.certificate.road.verify import Binding, Clearance, PathVerifier, footprint_of
 from shield.config import ShieldConfig
 
-__all__ = ["FailSafe", "Instant", "Memory", "observe"]
+__all__ = ["FailSafe", "Memory", "ObservedScene", "observe"]
 
 S = TypeVar("S")
 _FIRST = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=bool), np.zeros(0, dtype=bool), np.zeros((0, 0), dtype=bool)
@@ -49,8 +49,8 @@ class Memory(Generic[S]):
 
     frame: int | None = None
     stored: S | None = None
-    survey: Surveyor | None = None
-    watch: Watch | Stillness = field(default_factory=Watch)
+    survey: PathVerifier | None = None
+    watch: RoadMonitor | ParkingMonitor = field(default_factory=RoadMonitor)
     plan: FloatArray | None = None
     entered: int | None = None
 
@@ -67,7 +67,7 @@ class FailSafe:
 
 
 @dataclass(frozen=True, eq=False)
-class Instant:
+class ObservedScene:
     """One scene as observed with a memory: the input of each stage of a decision pipeline.
 
     Attributes
@@ -82,21 +82,21 @@ class Instant:
     config: ShieldConfig
     memory: Memory[Any]
     rollouts: Rollouts
-    survey: Surveyor
+    survey: PathVerifier
 
     @cached_property
-    def lawful(self) -> Surveyor:
+    def lawful(self) -> PathVerifier:
         """Judges plans against the vehicles without a violation."""
-        assert isinstance(self.memory.watch, Watch)
+        assert isinstance(self.memory.watch, RoadMonitor)
         return self.survey.without(self.memory.watch.offenders)
 
-    def narrowed(self, share: float) -> Surveyor:
+    def narrowed(self, share: float) -> PathVerifier:
         """Judges plans in the scene with shrunk bounds on the other vehicles: `share` of their width, see
         `Scene.narrowed`."""
-        assert isinstance(self.memory.watch, Watch)
+        assert isinstance(self.memory.watch, RoadMonitor)
         scene, last, watch, lane = self.scene.narrowed(share), self.survey, self.memory.watch, self.memory.stored
         stored = lane if isinstance(lane, int) else None
-        return Surveyor(
+        return PathVerifier(
             scene,
             self.config,
             last.visible,
@@ -115,7 +115,7 @@ class Instant:
         return int(self.scene.road.lane_at(float(self.scene.ego_road[RoadState.R])))
 
     def judge(self, candidates: Manoeuvres, hold: int = 0) -> tuple[FloatArray, Clearance]:
-        """Paths (n, K, 4) of the candidates, and the result for them; see `Surveyor.clearance`."""
+        """Paths (n, K, 4) of the candidates, and the result for them; see `PathVerifier.clearance`."""
         paths = candidates.paths(self.rollouts, self.scene.ego_road)
         return paths, self.survey.clearance(paths, candidates.lanes, candidates.fails, hold)
 
@@ -133,8 +133,8 @@ def observe(
     scene: Scene,
     config: ShieldConfig,
     frames: int = 1,
-    fail_safe: Callable[[Surveyor], FloatArray] | None = None,
-) -> Instant:
+    fail_safe: Callable[[PathVerifier], FloatArray] | None = None,
+) -> ObservedScene:
     """Observe a scene. If its frame has been observed already, the result is the same instant.
 
     Parameters
@@ -146,23 +146,23 @@ def observe(
     """
     rollouts = Rollouts(scene.dt, scene.road)
     if memory.survey is not None and scene.frame is not None and scene.frame == memory.frame:
-        return Instant(scene, config, memory, rollouts, memory.survey)
-    watch = memory.watch if isinstance(memory.watch, Watch) else Watch()
+        return ObservedScene(scene, config, memory, rollouts, memory.survey)
+    watch = memory.watch if isinstance(memory.watch, RoadMonitor) else RoadMonitor()
     last, lane = memory.survey, memory.stored if isinstance(memory.stored, int) else None
     same = None if last is None else _same(last.scene, scene)
     if last is not None and same is not None and scene.blurred and frames == 1:
-        scene = nested(last.scene, last.around, same, scene)
+        scene = shrink_bounds(last.scene, last.around, same, scene)
     ego = float(scene.ego_road[RoadState.S])
-    before: Surroundings | Before | None = None
+    before: OtherVehicles | PreviousVehicles | None = None
     if last is not None and not scene.blurred:
         before = last.around if same is None else _before(last.around, same, scene, config, ego)
     # Over more than one frame, the distance that each vehicle has lost by turning is not known.
     frame_before = before if frames == 1 else None
-    around = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt, frame_before, ego)
+    around = OtherVehicles(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt, frame_before, ego)
     watch = watch.of(same, len(scene.others))
     visible, owned, coming = _lanes(last, scene, config, frames, lane, watch.owing, same)
     followers = None if last is None else watch.owing
-    survey = Surveyor(scene, config, visible, owned, around, None, followers, coming, lane, memory.entered)
+    survey = PathVerifier(scene, config, visible, owned, around, None, followers, coming, lane, memory.entered)
 
     def separations() -> FloatArray:
         if fail_safe is not None:
@@ -175,7 +175,7 @@ def observe(
     new = None if same is None else same < 0
     watch = watch.next(survey, before, new, survey.counted(_followers(last, same)), frames * scene.dt, separations)
     memory = Memory(scene.frame, memory.stored, survey, watch, memory.plan, memory.entered)
-    return Instant(scene, config, memory, rollouts, survey)
+    return ObservedScene(scene, config, memory, rollouts, survey)
 
 
 def _same(last: Scene, scene: Scene) -> IntArray | None:
@@ -193,8 +193,9 @@ def _same(last: Scene, scene: Scene) -> IntArray | None:
     return np.where(same.any(axis=1), same.argmax(axis=1), -1)
 
 
-def _followers(last: Surveyor | None, same: IntArray | None) -> tuple[BoolArray, BoolArray] | None:
-    """`Surveyor.behind` and `Surveyor.held` of the last scene, (m,) bool, in the order of this scene's vehicles."""
+def _followers(last: PathVerifier | None, same: IntArray | None) -> tuple[BoolArray, BoolArray] | None:
+    """`PathVerifier.behind` and `PathVerifier.held` of the last scene, (m,) bool, in the order of this scene's
+    vehicles."""
     if last is None or same is None:
         return None if last is None else (last.behind, last.held)
     flags, known = np.zeros((2, len(same)), dtype=bool), same >= 0
@@ -202,10 +203,10 @@ def _followers(last: Surveyor | None, same: IntArray | None) -> tuple[BoolArray,
     return flags[0], flags[1]
 
 
-def _before(last: Surroundings, same: IntArray, scene: Scene, config: ShieldConfig, ego: float) -> Before:
+def _before(last: OtherVehicles, same: IntArray, scene: Scene, config: ShieldConfig, ego: float) -> PreviousVehicles:
     """The other vehicles in the last scene. New vehicles are taken to have kept their speed, and lost no distance by
     turning."""
-    fresh = Surroundings(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt, None, ego)
+    fresh = OtherVehicles(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt, None, ego)
     known = np.flatnonzero(same >= 0)
     rows, states, tables = scene.others.copy(), scene.others_road.copy(), fresh.tables
     way = states[:, RoadState.SPEED] * scene.dt
@@ -215,11 +216,11 @@ def _before(last: Surroundings, same: IntArray, scene: Scene, config: ShieldConf
     then = same[known]
     tables.marks[:, known], tables.numbers[:, known] = last.tables.marks[:, then], last.tables.numbers[:, then]
     tables.brakes[known], tables.recent[known] = last.tables.brakes[then], last.tables.recent[then]
-    return Before(rows, states, tables)
+    return PreviousVehicles(rows, states, tables)
 
 
 def _lanes(
-    last: Surveyor | None,
+    last: PathVerifier | None,
     scene: Scene,
     config: ShieldConfig,
     frames: int,
@@ -241,11 +242,11 @@ def _lanes(
     half = 0.5 * (length * abs(math.sin(psi)) + width * abs(math.cos(psi)))
     half += footprint_of(length, width, config.buffer, scene.road.bends)[0].bare_across
     stop, near = -1 if stored is None else stored, (sight, TOUCH + half, 0.5 * float(scene.road.width) + half)
-    return lanes_held(float(r), scene.road.centers, frames, *near, stop, *before)
+    return updated_lanes(float(r), scene.road.centers, frames, *near, stop, *before)
 
 
 def _brake(
-    scene: Scene, lane: int, braking: float, rollouts: Rollouts, survey: Surveyor, entered: int | None
+    scene: Scene, lane: int, braking: float, rollouts: Rollouts, survey: PathVerifier, entered: int | None
 ) -> tuple[FloatArray, Clearance]:
     """Braking to a stop in a lane from now on: its path (K, 4), and the result for it. `entered` is the lane that the
     plan entered on the way, None if there is none."""

@@ -11,18 +11,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import kernel_no_refcount
 from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
-from dynamics.traffic.occupancy import Before, Surroundings
-from dynamics.traffic.rules_of_the_road import Ego, Rule, gap_between, permits
+from dynamics.traffic.occupancy import OtherVehicles, PreviousVehicles
+from dynamics.traffic.rules_of_the_road import EgoFootprint, RoadRule, gap_between, rule_violations
 
 if TYPE_CHECKING:
-    from shield.certificate.road.verify import Surveyor
+    from shield.certificate.road.verify import PathVerifier
 
-__all__ = ["Stillness", "Watch", "in_the_way_now", "stayed"]
+__all__ = ["ParkingMonitor", "RoadMonitor", "mark_touching", "update_obligations"]
 
 
-_DISTANCE, _APPEARED = int(Rule.DISTANCE), int(Rule.APPEARED)
+_DISTANCE, _APPEARED = int(RoadRule.DISTANCE), int(RoadRule.APPEARED)
 
 
 def _nobody() -> BoolArray:
@@ -35,15 +35,17 @@ Separations = Callable[[], FloatArray]
 overlap."""
 
 
-@uncounted
-def stayed(owed: Any, counted: Any, behind: Any, held: Any, broken: Any, grown: Any, owing: Any) -> tuple[bool, bool]:
+@kernel_no_refcount
+def update_obligations(
+    owed: Any, counted: Any, behind: Any, held: Any, broken: Any, grown: Any, owing: Any
+) -> tuple[bool, bool]:
     """Update the distance obligations, `owing`, and add the distance rule to `grown` for two kinds of vehicles: those
     that had an obligation and have come beside the ego in an owned lane, and those that the stored plan relies on to
     brake, `counted`. Rules in `grown` are violated only where the fail-safe loses its room (`Motions`).
 
     Parameters
     ----------
-    owed : vehicles with an obligation in the scene before, (m,). counted : see `Surveyor.counted`, (m,).
+    owed : vehicles with an obligation in the scene before, (m,). counted : see `PathVerifier.counted`, (m,).
     behind, held : see `Others`, (m,). broken, grown : see `Motions`, (m,). owing : obligations now, (m,), written.
 
     Returns
@@ -59,8 +61,8 @@ def stayed(owed: Any, counted: Any, behind: Any, held: Any, broken: Any, grown: 
     return some, more
 
 
-@uncounted
-def in_the_way_now(ego: Ego, rows: FloatArray, period: float, grown: IntArray, broken: IntArray) -> bool:
+@kernel_no_refcount
+def mark_touching(ego: EgoFootprint, rows: FloatArray, period: float, grown: IntArray, broken: IntArray) -> bool:
     """Add the rules in `grown` to `broken` for vehicles that touch the ego's buffer now, or its body in the coming
     frame of `period` [s]: the fail-safe is judged from the next frame on. Return whether there is any."""
     some = False
@@ -74,7 +76,7 @@ def in_the_way_now(ego: Ego, rows: FloatArray, period: float, grown: IntArray, b
     return some
 
 
-def appeared(new: BoolArray, rows: FloatArray, ego: Ego, broken: IntArray, grown: IntArray) -> None:
+def appeared(new: BoolArray, rows: FloatArray, ego: EgoFootprint, broken: IntArray, grown: IntArray) -> None:
     """Check the new vehicles, (m,) bool: each has to leave the fail-safe its room, and violates a rule if it touches
     the ego's buffer. Its motion before is not known. `broken` and `grown` are written."""
     for i in np.flatnonzero(new).tolist():
@@ -82,15 +84,15 @@ def appeared(new: BoolArray, rows: FloatArray, ego: Ego, broken: IntArray, grown
         broken[i], grown[i] = (_APPEARED, 0) if touches else (0, _APPEARED)
 
 
-def _rule_of(column: Vehicle) -> Rule:
+def _rule_of(column: Vehicle) -> RoadRule:
     """The rule that a vehicle violates if this column of its row is not finite."""
     if column is Vehicle.SPEED:
-        return Rule.SPEED
-    return Rule.SIZE if column in (Vehicle.LENGTH, Vehicle.WIDTH) else Rule.WAY
+        return RoadRule.SPEED
+    return RoadRule.SIZE if column in (Vehicle.LENGTH, Vehicle.WIDTH) else RoadRule.WAY
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Watch:
+class RoadMonitor:
     """State of the monitor after one scene, for its m vehicles.
 
     Attributes
@@ -109,7 +111,7 @@ class Watch:
     breaking: BoolArray = field(default_factory=_nobody)
     offenders: BoolArray = field(default_factory=_nobody)
     count: int = 0
-    by_rule: Mapping[Rule, int] = field(default_factory=dict)
+    by_rule: Mapping[RoadRule, int] = field(default_factory=dict)
     unreadable: frozenset[int] = frozenset()
 
     @property
@@ -122,11 +124,11 @@ class Watch:
         """`by_rule` by the names of the rules."""
         return {str(rule): count for rule, count in self.by_rule.items()}
 
-    def forgiven(self) -> Watch:
+    def forgiven(self) -> RoadMonitor:
         """The state without violators, for when a plan clears every vehicle again."""
         return replace(self, offenders=np.zeros(self.offenders.shape, dtype=bool)) if self.violated else self
 
-    def with_unreadable(self, ids: IntArray, read: BoolArray, known: frozenset[int]) -> Watch:
+    def with_unreadable(self, ids: IntArray, read: BoolArray, known: frozenset[int]) -> RoadMonitor:
         """The state with vehicles that are not readable: each violates the rules that check its unreadable numbers.
 
         Parameters
@@ -143,7 +145,7 @@ class Watch:
                 by_rule[rule] = by_rule.get(rule, 0) + 1
         return replace(self, count=count, by_rule=by_rule, unreadable=frozenset(ids.tolist()))
 
-    def of(self, same: IntArray | None, m: int) -> Watch:
+    def of(self, same: IntArray | None, m: int) -> RoadMonitor:
         """The state for the m vehicles of the next scene, in their order.
 
         Parameters
@@ -160,13 +162,13 @@ class Watch:
 
     def next(
         self,
-        survey: Surveyor,
-        before: Surroundings | Before | None,
+        survey: PathVerifier,
+        before: OtherVehicles | PreviousVehicles | None,
         new: BoolArray | None,
         counted: BoolArray,
         period: float,
         fail_safe: Separations,
-    ) -> Watch:
+    ) -> RoadMonitor:
         """State of the monitor one scene later; this state already has the vehicles of that scene, see `of`.
 
         Parameters
@@ -182,33 +184,33 @@ class Watch:
         crashed = bool(survey.scene.ego[Vehicle.CRASHED] > 0)
         if before is None:
             nobody = np.zeros(len(behind), dtype=bool)
-            return Watch(behind & held, crashed, nobody, nobody, self.count, self.by_rule)
+            return RoadMonitor(behind & held, crashed, nobody, nobody, self.count, self.by_rule)
         if crashed:
             ego = ego._replace(crashed=not self.crashed, wrecked=True)
-        broken, grown = permits(before, survey.around, period, self.owing, ego)
+        broken, grown = rule_violations(before, survey.around, period, self.owing, ego)
         if new is not None:
             appeared(new, survey.scene.others, ego, broken, grown)
         owing = np.empty(len(broken), dtype=bool)
-        some, more = stayed(self.owing, counted, behind, held, broken, grown, owing)
+        some, more = update_obligations(self.owing, counted, behind, held, broken, grown, owing)
         if more:
             # A vehicle that takes more room than before has to leave the ego's fail-safe its room.
-            in_the_way_now(ego, survey.scene.others, survey.scene.dt, grown, broken)
+            mark_touching(ego, survey.scene.others, survey.scene.dt, grown, broken)
             broken |= np.where(fail_safe() >= 0, 0, grown)
             some = bool(broken.any())
         breaking = broken != 0
         if not some:
-            return Watch(owing, crashed, breaking, self.offenders, self.count, self.by_rule)
+            return RoadMonitor(owing, crashed, breaking, self.offenders, self.count, self.by_rule)
         count, by_rule = self.count, dict(self.by_rule)
         for i in np.flatnonzero(breaking & ~self.breaking):
             count += 1
-            for rule in Rule(int(broken[i])):
+            for rule in RoadRule(int(broken[i])):
                 by_rule[rule] = by_rule.get(rule, 0) + 1
-        return Watch(owing, crashed, breaking, self.offenders | breaking, count, by_rule)
+        return RoadMonitor(owing, crashed, breaking, self.offenders | breaking, count, by_rule)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stillness:
-    """State of the monitor of a parking lot, where everything is assumed to stand. Unlike `Watch`, it clears no
+class ParkingMonitor:
+    """State of the monitor of a parking lot, where everything is assumed to stand. Unlike `RoadMonitor`, it clears no
     violation.
 
     Attributes
@@ -223,15 +225,15 @@ class Stillness:
 
     @property
     def named(self) -> dict[str, int]:
-        """As of `Watch`."""
+        """As of `RoadMonitor`."""
         return {"moving": self.count} if self.count else {}
 
-    def next(self, moving: BoolArray) -> Stillness:
+    def next(self, moving: BoolArray) -> ParkingMonitor:
         """State of the monitor one scene later; `moving` as in the attributes."""
         known = self.moving is not None and self.moving.shape == moving.shape
         begun = moving & ~self.moving if known else moving  # type: ignore[operator]
-        return Stillness(self.count + int(begun.sum()), bool(moving.any()), moving)
+        return ParkingMonitor(self.count + int(begun.sum()), bool(moving.any()), moving)
 
-    def forgiven(self) -> Stillness:
+    def forgiven(self) -> ParkingMonitor:
         """The same state."""
         return self

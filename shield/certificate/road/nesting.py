@@ -15,14 +15,14 @@ import numpy as np
 
 from dynamics.scenes.scene import Scene
 from dynamics.state import IntArray, RoadState, Vehicle
-from dynamics.traffic.occupancy import Surroundings
+from dynamics.traffic.occupancy import OtherVehicles
 
-__all__ = ["nested"]
+__all__ = ["shrink_bounds"]
 
 _S, _V = int(RoadState.S), int(RoadState.SPEED)
 
 
-def nested(last: Scene, around: Surroundings, same: IntArray, scene: Scene) -> Scene:
+def shrink_bounds(last: Scene, around: OtherVehicles, same: IntArray, scene: Scene) -> Scene:
     """A scene a frame later, with bounds no wider than `last` and its surroundings permit.
 
     Parameters

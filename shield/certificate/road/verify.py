@@ -28,29 +28,38 @@ import numpy as np
 
 from dynamics.scenes.scene import Scene
 from dynamics.state import BoolArray, FloatArray, IntArray, RoadState, Vehicle
-from dynamics.traffic.occupancy import Surroundings
-from dynamics.traffic.rules_of_the_road import Ego, footprint
+from dynamics.traffic.occupancy import OtherVehicles
+from dynamics.traffic.rules_of_the_road import EgoFootprint, footprint
 from dynamics.vehicle.rollout_kernels import table_of
 from shield.certificate.road.clauses.all_clauses import (
+    CUT_IN_BINDS,
     NOTHING_BINDS,
     ROOM_BINDS,
     SEPARATION_BINDS,
-    SLIP_IN_BINDS,
-    judged,
+    evaluate_paths,
 )
 from shield.certificate.road.clauses.edge import lanes_touched
 from shield.certificate.road.clauses.followers import in_reach
 from shield.certificate.road.clauses.footprint import Footprint
-from shield.certificate.road.clauses.others import Others, empty_others, others_from
+from shield.certificate.road.clauses.others import RoadVehicles, empty_vehicles, vehicles_from
 from shield.certificate.road.clauses.parameters import settings_of
-from shield.certificate.road.clauses.scene import counts, seen
+from shield.certificate.road.clauses.scene import find_relied_on, prepare_scene
 from shield.config import Buffer, ShieldConfig
 from shield.decision import ROUNDING
 
-__all__ = ["NOTHING", "ROUNDING", "Binding", "Clearance", "Surveyor", "footprint_of", "least_bad", "least_bad_evasion"]
+__all__ = [
+    "NOTHING",
+    "ROUNDING",
+    "Binding",
+    "Clearance",
+    "PathVerifier",
+    "footprint_of",
+    "least_bad",
+    "least_bad_evasion",
+]
 
 
-_CLAUSES = {NOTHING_BINDS: "", SEPARATION_BINDS: "separation", SLIP_IN_BINDS: "slip-in", ROOM_BINDS: "room"}
+_CLAUSES = {NOTHING_BINDS: "", SEPARATION_BINDS: "separation", CUT_IN_BINDS: "slip-in", ROOM_BINDS: "room"}
 _NOBODY, _NO_LANES = np.zeros(0, dtype=bool), np.zeros((0, 0), dtype=bool)
 
 
@@ -116,7 +125,7 @@ class Clearance:
         return Binding(_CLAUSES[int(self.binds[0, i])], int(self.binds[1, i]))
 
 
-class Surveyor:
+class PathVerifier:
     """Judges trajectories in one scene. Everything that depends on the scene alone is computed once.
 
     Parameters
@@ -134,7 +143,7 @@ class Surveyor:
 
     Attributes
     ----------
-    size : the ego's footprint. behind, held : see `Others`, (m,) bool.
+    size : the ego's footprint. behind, held : see `RoadVehicles`, (m,) bool.
     comes : whether each vehicle may enter each lane, (lanes, m).
     plan : `stored` and `entered`, -1 for None.
     """
@@ -145,7 +154,7 @@ class Surveyor:
         config: ShieldConfig,
         visible: Any = None,
         owned: Any = None,
-        around: Surroundings | None = None,
+        around: OtherVehicles | None = None,
         ignored: Any = None,
         followers: Any = None,
         coming: Any = None,
@@ -161,7 +170,7 @@ class Surveyor:
         self.owned = np.asarray(owned, dtype=bool)
         if around is None:
             ego = float(state[RoadState.S])
-            around = Surroundings(scene.others, scene.others_road, road, a, scene.dt, None, ego)
+            around = OtherVehicles(scene.others, scene.others_road, road, a, scene.dt, None, ego)
         self.around = around
         self.size, self._size = footprint_of(
             float(scene.ego[Vehicle.LENGTH]), float(scene.ego[Vehicle.WIDTH]), config.buffer, road.bends
@@ -175,9 +184,9 @@ class Surveyor:
             offset = np.abs(road.centers - state[RoadState.R])
             in_sight = np.where(offset <= a.visible_distance, np.iinfo(np.intp).max, 0)
         m = len(scene.others)
-        self._of_others = numbers, flags = empty_others(m, lanes)
+        self._of_others = numbers, flags = empty_vehicles(m, lanes)
         slipping = np.empty((2 * m, 4))
-        count = seen(
+        count = prepare_scene(
             around.others,
             around.states,
             *around.tables,
@@ -199,15 +208,15 @@ class Surveyor:
         self._slipping, self.behind, self.held, self.comes = slipping[:count], flags[0], flags[1], flags[2 + lanes :]
 
     @cached_property
-    def seen(self) -> Ego:
+    def seen(self) -> EgoFootprint:
         """The ego with its buffer, in the world frame."""
         return footprint(self.scene.ego, self.config.buffer.longitudinal, self.config.buffer.lateral)
 
     @cached_property
-    def others(self) -> Others:
+    def others(self) -> RoadVehicles:
         """The other vehicles as the clauses read them."""
-        named: Any = others_from
-        others: Others = named.py_func(self.around.bodies, *self._of_others)
+        named: Any = vehicles_from
+        others: RoadVehicles = named.py_func(self.around.bodies, *self._of_others)
         return others
 
     def counted(self, before: tuple[BoolArray, BoolArray] | None) -> BoolArray:
@@ -216,7 +225,7 @@ class Surveyor:
         out = np.zeros(len(self.behind), dtype=bool)
         if self.plan[0] >= 0 and before is not None:
             scene = self.scene.ego_road, self._size, self.scene.road.centers
-            counts(*self.around.tables, *self._of_others, *scene, self.plan, self.owned, before, out)
+            find_relied_on(*self.around.tables, *self._of_others, *scene, self.plan, self.owned, before, out)
         return out
 
     def entered(self, paths: FloatArray, fails: IntArray) -> tuple[IntArray, FloatArray, BoolArray, IntArray]:
@@ -226,13 +235,13 @@ class Surveyor:
         body, side = (size.length, size.width, size.bare_across), 0.5 * road.width
         return lanes_touched(self.scene.ego_road, paths, body, road.centers, side, self.owned, fails)
 
-    def without(self, ignored: BoolArray) -> Surveyor:
+    def without(self, ignored: BoolArray) -> PathVerifier:
         """The same for a scene without some vehicles, (m,) bool."""
         other = copy(self)
         other.ignored = ignored
         return other
 
-    def without_cut_ins(self) -> Surveyor:
+    def without_cut_ins(self) -> PathVerifier:
         """The same without the precaution of cut-ins. The precaution may refuse plans, and the certificate does not
         rest on it: a vehicle that cuts in without leaving the fail-safe its room violates a rule."""
         other = copy(self)
@@ -258,7 +267,7 @@ class Surveyor:
         hold : number of frames for which the others are *expected* to keep their speed (a forecast, not a bound).
         """
         around = self.around
-        found, marks, rows = judged(
+        found, marks, rows = evaluate_paths(
             paths,
             lanes,
             fails,

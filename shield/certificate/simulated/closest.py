@@ -4,20 +4,28 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.control import KP_A
 from dynamics.highway_simulator.layout import SPEED, TARGET, TARGET_SPEED
 from dynamics.highway_simulator.scene import next_target_speed, speed_index
-from shield.certificate.simulated.node_budget import may_go_on
-from shield.certificate.simulated.search import copy_future, depart, in_depth, leave, must_go_on, repeats, travel
+from shield.certificate.simulated.node_budget import has_budget
+from shield.certificate.simulated.search import (
+    begin_action,
+    copy_future,
+    depth_first,
+    ends_on_crossing,
+    extend_past_crossing,
+    finish_action,
+    repeats,
+)
 from shield.certificate.simulated.traffic import ego_in, on_road
-from shield.certificate.simulated.workspace import ANY, NOBODY, Nodes, Search, Wish
+from shield.certificate.simulated.workspace import ANY, NOBODY, LaneSpeedNodes, LaneSpeedTarget, TrafficSearch
 
-__all__ = ["best_plan", "clear_plan", "closest_plan", "stopping", "wish_of"]
+__all__ = ["best_plan", "clear_plan", "closest_plan", "lane_speed_target_of", "stopping_cost"]
 
 
-@uncounted
-def wish_of(search: Search, target_speed: float, action: int) -> Wish:
+@kernel_no_refcount
+def lane_speed_target_of(search: TrafficSearch, target_speed: float, action: int) -> LaneSpeedTarget:
     """Target command of an action that is repeated, from a target speed [m/s]. At equal speed the right lane is
     preferred, unless the action is a lane change."""
     label, speeds, bounds = search.rules.labels[action], search.rules.target_speeds, search.bounds
@@ -28,17 +36,17 @@ def wish_of(search: Search, target_speed: float, action: int) -> Wish:
         speed = speeds[0]
     elif label in (0, 2) and bounds.asked > 0:
         left, right = (bounds.asked, 0.0) if label == 0 else (0.0, bounds.asked)
-    return Wish(speed, left, right)
+    return LaneSpeedTarget(speed, left, right)
 
 
-@uncounted
-def stopping(search: Search) -> Wish:
+@kernel_no_refcount
+def stopping_cost(search: TrafficSearch) -> LaneSpeedTarget:
     """Target command to slow down, with a preference for the right lane."""
-    return Wish(0.0, 0.0, search.bounds.keep_right)
+    return LaneSpeedTarget(0.0, 0.0, search.bounds.keep_right)
 
 
-@uncounted
-def _bound_to_lose(search: Search, k: int, decisions: int, wish: float) -> float:
+@kernel_no_refcount
+def _bound_to_lose(search: TrafficSearch, k: int, decisions: int, wish: float) -> float:
     """Lower bound on the distance that future k loses against a speed in the next `decisions` decisions [m]. It is the
     loss on an empty road, with the most favourable target speed at each decision; 0 after the end of the ego's road."""
     rules, f, ego = search.rules, search.futures.f[k], ego_in(search, k)
@@ -58,8 +66,8 @@ def _bound_to_lose(search: Search, k: int, decisions: int, wish: float) -> float
     return lost
 
 
-@inlined
-def _next(nodes: Nodes, count: int) -> int:
+@kernel_inline
+def _next(nodes: LaneSpeedNodes, count: int) -> int:
     """The open node with the least bound; among equals the greatest level, then the least kind. `NOBODY` if none is
     open."""
     best = NOBODY
@@ -75,8 +83,8 @@ def _next(nodes: Nodes, count: int) -> int:
     return best
 
 
-@inlined
-def _deepest(nodes: Nodes, count: int) -> int:
+@kernel_inline
+def _deepest(nodes: LaneSpeedNodes, count: int) -> int:
     """The node of the greatest level, and among these the one with the least cost; `NOBODY` if there is none."""
     best = NOBODY
     for i in range(count):
@@ -89,9 +97,16 @@ def _deepest(nodes: Nodes, count: int) -> int:
     return best
 
 
-@uncounted
+@kernel_no_refcount
 def _expand(
-    search: Search, parent: int, count: int, only: int, never: int, depth: int, wish: Wish, floor: float
+    search: TrafficSearch,
+    parent: int,
+    count: int,
+    only: int,
+    never: int,
+    depth: int,
+    wish: LaneSpeedTarget,
+    floor: float,
 ) -> int:
     """Simulate every action from a node, or from the present, and keep the best way to each lane and speed of the next
     level. Return the number of nodes."""
@@ -102,10 +117,10 @@ def _expand(
         tried[action, 0] = -1.0
         if level == 0 and (action == never or only not in (ANY, action)):
             continue
-        tried[action, 0], tried[action, 1] = depart(search, source, spare, action)
+        tried[action, 0], tried[action, 1] = begin_action(search, source, spare, action)
         if repeats(tried, action):
             continue
-        least, cost = travel(search, spare, wish, floor)
+        least, cost = finish_action(search, spare, wish, floor)
         if least < floor:
             continue
         ego = ego_in(search, spare)
@@ -131,8 +146,8 @@ def _expand(
     return count
 
 
-@uncounted
-def _best_node(search: Search, only: int, never: int, depth: int, wish: Wish, floor: float) -> int:
+@kernel_no_refcount
+def _best_node(search: TrafficSearch, only: int, never: int, depth: int, wish: LaneSpeedTarget, floor: float) -> int:
     """The last node of the plan that `best_plan` finds, with its sequence in `search.plan`; `NOBODY` if there is
     none."""
     nodes = search.nodes
@@ -141,7 +156,7 @@ def _best_node(search: Search, only: int, never: int, depth: int, wish: Wish, fl
             nodes.slots[level, k] = NOBODY
     node, count = NOBODY, _expand(search, NOBODY, 0, only, never, depth, wish, floor)
     while True:
-        node = _next(nodes, count) if may_go_on(search) else NOBODY
+        node = _next(nodes, count) if has_budget(search) else NOBODY
         if node == NOBODY:
             node = _deepest(nodes, count)
             break
@@ -156,8 +171,10 @@ def _best_node(search: Search, only: int, never: int, depth: int, wish: Wish, fl
     return found
 
 
-@uncounted
-def best_plan(search: Search, only: int, never: int, depth: int, wish: Wish, floor: float) -> tuple[int, float]:
+@kernel_no_refcount
+def best_plan(
+    search: TrafficSearch, only: int, never: int, depth: int, wish: LaneSpeedTarget, floor: float
+) -> tuple[int, float]:
     """The sequence that stays clear for `depth` decisions and loses the least distance against a target command, into
     `search.plan`; if there is none, the longest one.
 
@@ -180,8 +197,8 @@ def best_plan(search: Search, only: int, never: int, depth: int, wish: Wish, flo
     return nodes.level[node], nodes.clear[node]
 
 
-@uncounted
-def clear_plan(search: Search, only: int, never: int, wish: Wish) -> float:
+@kernel_no_refcount
+def clear_plan(search: TrafficSearch, only: int, never: int, wish: LaneSpeedTarget) -> float:
     """Least clearance beyond the buffer [m] of the plan that `best_plan` finds, -inf if it does not keep the buffer for
     the whole horizon."""
     nodes, depth, node = (
@@ -192,11 +209,11 @@ def clear_plan(search: Search, only: int, never: int, wish: Wish) -> float:
     if node == NOBODY or nodes.level[node] < depth:
         return -np.inf
     margin = nodes.clear[node]
-    return -np.inf if must_go_on(search, search.bounds.spare + 1 + node, search.plan, margin) else margin
+    return -np.inf if ends_on_crossing(search, search.bounds.spare + 1 + node, search.plan, margin) else margin
 
 
-@uncounted
-def _go_on_from(search: Search, node: int) -> float:
+@kernel_no_refcount
+def _go_on_from(search: TrafficSearch, node: int) -> float:
     """Extend the sequence of a node to the whole horizon, or find another with the same first action, into
     `search.plan`. Return its least clearance beyond the buffer [m], -inf if none is found. The futures up to the node
     are known."""
@@ -208,13 +225,15 @@ def _go_on_from(search: Search, node: int) -> float:
         search.choices[level - 1], search.least[level] = 1, nodes.clear[node]
         node = nodes.parent[node]
     for level in range(known):
-        search.reached[level, 0, 0], search.reached[level, 0, 1] = depart(search, level, spare, search.hint[level])
-    lasts, margin, _ = in_depth(search, search.hint[0], search.hint, known, known, 0.0, search.bounds.budget)
-    return leave(search, search.plan[0], margin) if lasts == depth else -np.inf
+        search.reached[level, 0, 0], search.reached[level, 0, 1] = begin_action(
+            search, level, spare, search.hint[level]
+        )
+    lasts, margin, _ = depth_first(search, search.hint[0], search.hint, known, known, 0.0, search.bounds.budget)
+    return extend_past_crossing(search, search.plan[0], margin) if lasts == depth else -np.inf
 
 
-@uncounted
-def closest_plan(search: Search, proposed: int, wish: Wish) -> float:
+@kernel_no_refcount
+def closest_plan(search: TrafficSearch, proposed: int, wish: LaneSpeedTarget) -> float:
     """The sequence that loses the least distance against a target command over its first `outlook` decisions, into
     `search.plan`. It does not begin with the proposal, and stays clear for the whole horizon. Return its least
     clearance beyond the buffer [m], -inf if none is found."""

@@ -8,19 +8,19 @@ sequence, but it never finds one that does not exist.
 
 from __future__ import annotations
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import kernel_no_refcount
 from dynamics.highway_simulator.layout import SPEED, TARGET, TARGET_SPEED, X, Y
 from shield.certificate.simulated.traffic import ego_in
-from shield.certificate.simulated.workspace import Search
+from shield.certificate.simulated.workspace import TrafficSearch
 
-__all__ = ["bury", "forget_dead", "is_dead"]
+__all__ = ["add_dead_end", "clear_dead_ends", "is_dead_end_state"]
 
 _NEAR, _AS_FAST = 1.0, 0.5
 """Tolerances within which two states count as the same: distance along each axis [m], and speed [m/s]."""
 
 
-@uncounted
-def is_dead(search: Search, k: int) -> bool:
+@kernel_no_refcount
+def is_dead_end_state(search: TrafficSearch, k: int) -> bool:
     """Whether future k, after k decisions, is close to a dead end."""
     f, ego, states = search.futures.f[k], ego_in(search, k), search.dead.states[k]
     lane = search.futures.g[k, TARGET, ego]
@@ -32,8 +32,8 @@ def is_dead(search: Search, k: int) -> bool:
     return False
 
 
-@uncounted
-def bury(search: Search, k: int) -> None:
+@kernel_no_refcount
+def add_dead_end(search: TrafficSearch, k: int) -> None:
     """Store future k as a dead end."""
     f, ego, dead = search.futures.f[k], ego_in(search, k), search.dead
     row = dead.states[k, dead.buried[k] % dead.states.shape[1]]
@@ -42,8 +42,8 @@ def bury(search: Search, k: int) -> None:
     row[3], row[4] = search.futures.g[k, TARGET, ego], f[TARGET_SPEED, ego]
 
 
-@uncounted
-def forget_dead(search: Search) -> None:
+@kernel_no_refcount
+def clear_dead_ends(search: TrafficSearch) -> None:
     """Clear the dead-end table; call when the root state or the clearance threshold changes."""
     for k in range(search.dead.buried.shape[0]):
         search.dead.buried[k] = 0

@@ -7,20 +7,36 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.layout import TARGET_SPEED
 from dynamics.state import BoolArray, IntArray
-from shield.batch.arrays import Records
+from shield.batch.arrays import BatchRecords
 from shield.batch.codes import REASONS, TIERS
-from shield.certificate.simulated.closest import best_plan, clear_plan, closest_plan, stopping, wish_of
-from shield.certificate.simulated.dead_ends import forget_dead
-from shield.certificate.simulated.node_budget import try_once_more
-from shield.certificate.simulated.search import enter, in_depth, same_outcome, survives
+from shield.certificate.simulated.closest import (
+    best_plan,
+    clear_plan,
+    closest_plan,
+    lane_speed_target_of,
+    stopping_cost,
+)
+from shield.certificate.simulated.dead_ends import clear_dead_ends
+from shield.certificate.simulated.node_budget import grant_last_budget
+from shield.certificate.simulated.search import depth_first, find_sequence, same_outcome, set_root_scene
 from shield.certificate.simulated.traffic import ego_in
-from shield.certificate.simulated.workspace import ANY, Search
+from shield.certificate.simulated.workspace import ANY, TrafficSearch
 from shield.decision import Reason, Tier
 
-__all__ = ["Plans", "boxed_in", "decide", "empty_plans", "last_resort", "longest", "passes", "replace", "verify"]
+__all__ = [
+    "StoredSequences",
+    "decide",
+    "empty_plans",
+    "has_no_certificate",
+    "last_resort",
+    "longest_sequence",
+    "replace",
+    "try_proposal",
+    "verify",
+]
 
 _NONE, _UNVERIFIED, _NO_SAFE_PLAN, _BAD_ACTION = (
     REASONS.index(r) for r in (Reason.NONE, Reason.UNVERIFIED, Reason.NO_SAFE_PLAN, Reason.BAD_ACTION)
@@ -28,11 +44,11 @@ _NONE, _UNVERIFIED, _NO_SAFE_PLAN, _BAD_ACTION = (
 _PASSED, _ALTERNATIVE, _STORED, _LARGEST, _EMERGENCY = (
     TIERS.index(t) for t in (Tier.PASSED, Tier.ALTERNATIVE, Tier.STORED_PLAN, Tier.LARGEST_MARGIN, Tier.EMERGENCY)
 )
-_ANYTHING = -1e9
+_ANY_CLEARANCE = -1e9
 """Stands for a clearance that does not matter, as long as there is no crash [m]."""
 
 
-class Plans(NamedTuple):
+class StoredSequences(NamedTuple):
     """The stored sequence of each environment.
 
     Attributes
@@ -46,13 +62,15 @@ class Plans(NamedTuple):
     verified: BoolArray
 
 
-def empty_plans(e: int, depth: int) -> Plans:
+def empty_plans(e: int, depth: int) -> StoredSequences:
     """The stored sequences before the first decision."""
-    return Plans(np.zeros((e, depth), np.intp), np.zeros(e, np.intp), np.ones(e, np.bool_))
+    return StoredSequences(np.zeros((e, depth), np.intp), np.zeros(e, np.intp), np.ones(e, np.bool_))
 
 
-@uncounted
-def _execute(records: Records, plans: Plans, e: int, plan: IntArray, length: int, tier: int, reason: int) -> None:
+@kernel_no_refcount
+def _execute(
+    records: BatchRecords, plans: StoredSequences, e: int, plan: IntArray, length: int, tier: int, reason: int
+) -> None:
     """Execute the first action of a plan, and store the others."""
     records.executed[e], records.tier[e], records.reason[e] = plan[0], tier, reason
     for k in range(1, length):
@@ -62,8 +80,8 @@ def _execute(records: Records, plans: Plans, e: int, plan: IntArray, length: int
         plans.verified[e] = tier != _LARGEST
 
 
-@uncounted
-def last_resort(records: Records, plans: Plans, e: int, slower: int, reason: int) -> None:
+@kernel_no_refcount
+def last_resort(records: BatchRecords, plans: StoredSequences, e: int, slower: int, reason: int) -> None:
     """If no action can be judged: continue the stored sequence, or slow down; into `records`."""
     length, records.margin[e] = plans.length[e], math.nan
     if length > 0:
@@ -72,34 +90,34 @@ def last_resort(records: Records, plans: Plans, e: int, slower: int, reason: int
         records.executed[e], records.tier[e], records.reason[e] = slower, _EMERGENCY, reason
 
 
-@uncounted
-def verify(search: Search, action: int, stored: IntArray, length: int, twice: bool) -> float:
+@kernel_no_refcount
+def verify(search: TrafficSearch, action: int, stored: IntArray, length: int, twice: bool) -> float:
     """Least clearance beyond the buffer of a sequence that begins with an action, into `search.plan` [m]; -inf if none
     is found that keeps the buffer for the whole horizon.
 
     The depth-first search comes first. With `twice`, on a straight highway, the search over lanes and speeds follows if
     the budget of the first was spent.
     """
-    margin, exhausted = survives(search, action, stored, length)
+    margin, exhausted = find_sequence(search, action, stored, length)
     if margin < 0 and exhausted and twice and search.bounds.straight:
-        margin = clear_plan(search, action, ANY, stopping(search))
+        margin = clear_plan(search, action, ANY, stopping_cost(search))
     return margin
 
 
-@uncounted
-def boxed_in(plans: Plans, e: int) -> bool:
+@kernel_no_refcount
+def has_no_certificate(plans: StoredSequences, e: int) -> bool:
     """Whether the last decision found no sequence that keeps the buffer: then each action gets only one search."""
     return plans.length[e] > 0 and not plans.verified[e]
 
 
-@inlined
+@kernel_inline
 def _copy(source: IntArray, target: IntArray, length: int) -> None:
     for k in range(length):
         target[k] = source[k]
 
 
-@uncounted
-def longest(search: Search, stored: IntArray, length: int) -> tuple[int, float]:
+@kernel_no_refcount
+def longest_sequence(search: TrafficSearch, stored: IntArray, length: int) -> tuple[int, float]:
     """The longest sequence without a crash, and among those for the whole horizon the one with the largest clearance
     found, into `search.plan`.
 
@@ -108,27 +126,27 @@ def longest(search: Search, stored: IntArray, length: int) -> tuple[int, float]:
 
     Parameters
     ----------
-    stored, length : the stored sequence, as in `in_depth`.
+    stored, length : the stored sequence, as in `depth_first`.
 
     Returns
     -------
     Number of decisions that the sequence lasts, and its least clearance beyond the buffer [m].
     """
     depth, lasts, margin = search.bounds.depth, 0, -np.inf
-    try_once_more(search)
+    grant_last_budget(search)
     if length > 0:
-        lasts, margin, _ = in_depth(search, ANY, stored, length, 0, _ANYTHING, search.bounds.budget)
+        lasts, margin, _ = depth_first(search, ANY, stored, length, 0, _ANY_CLEARANCE, search.bounds.budget)
         _copy(search.plan, search.hint, lasts)
     if lasts < depth:
-        further, clear = best_plan(search, ANY, ANY, depth, stopping(search), _ANYTHING)
+        further, clear = best_plan(search, ANY, ANY, depth, stopping_cost(search), _ANY_CLEARANCE)
         if further > lasts or (further == lasts and clear > margin):
             lasts, margin = further, clear
             _copy(search.plan, search.hint, lasts)
     if lasts < depth:
         # That search keeps one future for each lane and speed. The future with the largest clearance now may still be
         # hit later.
-        forget_dead(search)
-        further, clear, _ = in_depth(search, ANY, search.hint, lasts, 0, _ANYTHING, search.bounds.budget)
+        clear_dead_ends(search)
+        further, clear, _ = depth_first(search, ANY, search.hint, lasts, 0, _ANY_CLEARANCE, search.bounds.budget)
         if further > lasts:
             return further, clear
     _copy(search.hint, search.plan, lasts)
@@ -137,16 +155,18 @@ def longest(search: Search, stored: IntArray, length: int) -> tuple[int, float]:
     return lasts, margin
 
 
-@uncounted
-def passes(search: Search, plans: Plans, records: Records, worlds: Any, e: int, proposed: int) -> bool:
+@kernel_no_refcount
+def try_proposal(
+    search: TrafficSearch, plans: StoredSequences, records: BatchRecords, worlds: Any, e: int, proposed: int
+) -> bool:
     """Whether the decision is made by the proposal alone, into `records`: it verifies, or it is no valid action, so
     that the stored sequence or slowing down replaces it."""
     records.proposed[e], records.clause[e], records.vehicle[e] = proposed, 0, -1
-    enter(search, worlds, e)
+    set_root_scene(search, worlds, e)
     if not 0 <= proposed < search.order.shape[0]:
         last_resort(records, plans, e, search.order[0], _BAD_ACTION)
         return True
-    margin = verify(search, proposed, plans.actions[e], plans.length[e], not boxed_in(plans, e))
+    margin = verify(search, proposed, plans.actions[e], plans.length[e], not has_no_certificate(plans, e))
     if margin < 0:
         return False
     records.margin[e] = margin
@@ -154,12 +174,14 @@ def passes(search: Search, plans: Plans, records: Records, worlds: Any, e: int, 
     return True
 
 
-@uncounted
-def replace(search: Search, plans: Plans, records: Records, e: int, proposed: int, order: IntArray) -> None:
+@kernel_no_refcount
+def replace(
+    search: TrafficSearch, plans: StoredSequences, records: BatchRecords, e: int, proposed: int, order: IntArray
+) -> None:
     """Choose and record the action that replaces a proposal that does not verify; see `decide`."""
     n, stored, length, margin = search.order.shape[0], plans.actions[e], plans.length[e], -np.inf
     ranked, now = order.shape[0] > 0 and order[0] >= 0, search.futures.f[0, TARGET_SPEED, ego_in(search, 0)]
-    once, wish = boxed_in(plans, e), wish_of(search, now, proposed)
+    once, wish = has_no_certificate(plans, e), lane_speed_target_of(search, now, proposed)
     if once and not ranked:
         margin, n = clear_plan(search, ANY, proposed, wish), 0
     elif not ranked:
@@ -174,11 +196,11 @@ def replace(search: Search, plans: Plans, records: Records, e: int, proposed: in
             margin = verify(search, action, stored, length, not once)
         else:
             # The search over lanes and speeds has tried all actions already.
-            margin, _ = survives(search, action, stored, length)
+            margin, _ = find_sequence(search, action, stored, length)
     if margin < 0 and length > 0 and not once:
         # The stored sequence keeps the buffer to its end, from where it may be extended.
-        try_once_more(search)
-        margin, _ = survives(search, ANY, stored, length)
+        grant_last_budget(search)
+        margin, _ = find_sequence(search, ANY, stored, length)
     if margin < 0 and search.resting.margin[0] >= 0:
         margin = search.resting.margin[0]
         _copy(search.resting.plan, search.plan, search.bounds.depth)
@@ -187,13 +209,21 @@ def replace(search: Search, plans: Plans, records: Records, e: int, proposed: in
         tier, reason = (_PASSED, _NONE) if passed else (_ALTERNATIVE, _UNVERIFIED)
         _execute(records, plans, e, search.plan, search.bounds.depth, tier, reason)
         return
-    lasts, margin = longest(search, stored, length)
+    lasts, margin = longest_sequence(search, stored, length)
     records.margin[e] = margin if lasts == search.bounds.depth else math.nan
     _execute(records, plans, e, search.plan, lasts, _LARGEST, _NO_SAFE_PLAN)
 
 
-@uncounted
-def decide(search: Search, plans: Plans, records: Records, worlds: Any, e: int, proposed: int, order: IntArray) -> None:
+@kernel_no_refcount
+def decide(
+    search: TrafficSearch,
+    plans: StoredSequences,
+    records: BatchRecords,
+    worlds: Any,
+    e: int,
+    proposed: int,
+    order: IntArray,
+) -> None:
     """Decide about one proposal, into `records`.
 
     The proposal is executed if some sequence that begins with it keeps the buffer for the whole horizon. Otherwise the
@@ -206,5 +236,5 @@ def decide(search: Search, plans: Plans, records: Records, worlds: Any, e: int, 
     proposed : index of the action; if it is out of range, the stored sequence or slowing down replaces it.
     order : the policy's order of preference among the other actions, up to the first negative entry; may be empty.
     """
-    if not passes(search, plans, records, worlds, e, proposed):
+    if not try_proposal(search, plans, records, worlds, e, proposed):
         replace(search, plans, records, e, proposed, order)

@@ -1,4 +1,4 @@
-"""`ExactHighways`: many compiled highways, each with its meta-actions verified by simulation."""
+"""`SimulatedHighways`: many compiled highways, each with its meta-actions verified by simulation."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from dynamics.state import BoolArray, IntArray
 from shield.batch.filtered import FilteredHighways
 from shield.certificate.simulated.decision_kernels import empty_plans
 from shield.certificate.simulated.masking import mask_all
-from shield.certificate.simulated.step_kernels import step_all_exact
+from shield.certificate.simulated.step_kernels import step_all_simulated
 from shield.certificate.simulated.workspace import new_search
 from shield.config import ShieldConfig
 from shield.supported_environments import check, require
 
-__all__ = ["ExactHighways"]
+__all__ = ["SimulatedHighways"]
 
 
-class ExactHighways(FilteredHighways):
+class SimulatedHighways(FilteredHighways):
     """Copies of `highway-v0` or `highway-fast-v0` with meta-actions. Each has a filter with the same decisions as
     `Shield` with `ShieldConfig.simulated_traffic()` and `frames=False` around one environment.
 
@@ -34,7 +34,7 @@ class ExactHighways(FilteredHighways):
     Attributes
     ----------
     simulator, records, rows, off_road : as in `FilteredHighways`.
-    plans : the stored sequences (`shield.certificate.simulated.decision_kernels.Plans`).
+    plans : the stored sequences (`shield.certificate.simulated.decision_kernels.StoredSequences`).
 
     Examples
     --------
@@ -60,7 +60,7 @@ class ExactHighways(FilteredHighways):
 
     def _decide(self, part: int, first: int, last: int, actions: IntArray, orders: IntArray, again: bool) -> None:
         simulator = self.simulator
-        step_all_exact(
+        step_all_simulated(
             self._searches[part],
             simulator.worlds,
             simulator.scenario.view,

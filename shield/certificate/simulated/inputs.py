@@ -13,18 +13,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.layout import ACCELERATION, CRASHED, STEERING
 from dynamics.state import FloatArray, IntArray
 from shield.batch.codes import TIERS
-from shield.certificate.simulated.closest import clear_plan, stopping
-from shield.certificate.simulated.decision_kernels import longest
-from shield.certificate.simulated.search import clearance, look_from, survives
+from shield.certificate.simulated.closest import clear_plan, stopping_cost
+from shield.certificate.simulated.decision_kernels import longest_sequence
+from shield.certificate.simulated.search import clearance, find_sequence, set_root
 from shield.certificate.simulated.traffic import ego_in, frame, hold, on_road, sorted_in, start
-from shield.certificate.simulated.workspace import ANY, Search
+from shield.certificate.simulated.workspace import ANY, TrafficSearch
 from shield.decision import Tier
 
-__all__ = ["Tail", "decide_inputs", "empty_tail", "play"]
+__all__ = ["BackupSequence", "advance_backup", "decide_inputs", "empty_tail"]
 
 _PASSED, _GOVERNED, _STORED, _ALTERNATIVE, _LARGEST = (
     TIERS.index(t) for t in (Tier.PASSED, Tier.GOVERNED, Tier.STORED_PLAN, Tier.ALTERNATIVE, Tier.LARGEST_MARGIN)
@@ -34,7 +34,7 @@ _HALVINGS = 3
 """Number of bisections between the backup controller's input and the proposal."""
 
 
-class Tail(NamedTuple):
+class BackupSequence(NamedTuple):
     """The stored sequence of the backup controller.
 
     Attributes
@@ -47,20 +47,20 @@ class Tail(NamedTuple):
     counts: IntArray
 
 
-def empty_tail(depth: int) -> Tail:
+def empty_tail(depth: int) -> BackupSequence:
     """The stored sequence before the first decision of an episode."""
-    return Tail(np.zeros(depth, np.intp), np.zeros(2, np.intp))
+    return BackupSequence(np.zeros(depth, np.intp), np.zeros(2, np.intp))
 
 
-@uncounted
-def _store(search: Search, tail: Tail, length: int) -> None:
+@kernel_no_refcount
+def _store(search: TrafficSearch, tail: BackupSequence, length: int) -> None:
     for k in range(length):
         tail.actions[k] = search.plan[k]
     tail.counts[0], tail.counts[1] = length, 0
 
 
-@uncounted
-def _goes_on(search: Search, tail: Tail) -> float:
+@kernel_no_refcount
+def _goes_on(search: TrafficSearch, tail: BackupSequence) -> float:
     """Search for a continuation of the backup controller from future 0, into `search.plan`. The stored sequence,
     stopping, keeping the speed, speeding up, and sequences close to these are tried.
 
@@ -79,14 +79,14 @@ def _goes_on(search: Search, tail: Tail) -> float:
                 search.hint[i] = first
         elif stops:
             continue
-        margin, _ = survives(search, first, search.hint if k != 0 else tail.actions, length)
+        margin, _ = find_sequence(search, first, search.hint if k != 0 else tail.actions, length)
         if margin >= 0:
             return margin
     return -np.inf
 
 
-@uncounted
-def _after(search: Search, present: Search, tail: Tail, throttle: float, wheel: float) -> float:
+@kernel_no_refcount
+def _after(search: TrafficSearch, present: TrafficSearch, tail: BackupSequence, throttle: float, wheel: float) -> float:
     """Least clearance beyond the buffer of one frame of an input and the best continuation of the backup controller,
     into `search.plan` [m]; -inf if none stays clear.
 
@@ -95,7 +95,7 @@ def _after(search: Search, present: Search, tail: Tail, throttle: float, wheel: 
     throttle, wheel : acceleration [m/s^2] and front wheel angle [rad].
     """
     futures = search.futures
-    look_from(search, present.futures, 0)
+    set_root(search, present.futures, 0)
     hold(search, 0, throttle, wheel)
     frame(search, 0, sorted_in(search, 0))
     on, at_end = on_road(search, 0)
@@ -108,8 +108,8 @@ def _after(search: Search, present: Search, tail: Tail, throttle: float, wheel: 
     return min(least, _goes_on(search, tail))
 
 
-@uncounted
-def play(present: Search, tail: Tail, inputs: FloatArray) -> None:
+@kernel_no_refcount
+def advance_backup(present: TrafficSearch, tail: BackupSequence, inputs: FloatArray) -> None:
     """Advance the present by one frame of the backup controller. Its acceleration [m/s^2] and front wheel angle [rad]
     are written to `inputs`, (2,)."""
     futures, actions, counts = present.futures, tail.actions, tail.counts
@@ -125,20 +125,20 @@ def play(present: Search, tail: Tail, inputs: FloatArray) -> None:
     inputs[0], inputs[1] = futures.f[0, ACCELERATION, ego], futures.f[0, STEERING, ego]
 
 
-@uncounted
-def _take(present: Search, inputs: FloatArray, throttle: float, wheel: float) -> None:
+@kernel_no_refcount
+def _take(present: TrafficSearch, inputs: FloatArray, throttle: float, wheel: float) -> None:
     """Advance the present by one frame of an input, and write it to `inputs`."""
     hold(present, 0, throttle, wheel)
     frame(present, 0, sorted_in(present, 0))
     inputs[0], inputs[1] = throttle, wheel
 
 
-@uncounted
-def _peek(search: Search, present: Search, tail: Tail, inputs: FloatArray) -> None:
+@kernel_no_refcount
+def _peek(search: TrafficSearch, present: TrafficSearch, tail: BackupSequence, inputs: FloatArray) -> None:
     """Write the next acceleration [m/s^2] and front wheel angle [rad] of the backup controller to `inputs`, without
     advancing the present."""
     futures = search.futures
-    look_from(search, present.futures, 0)
+    set_root(search, present.futures, 0)
     if tail.counts[1] == 0 and tail.counts[0] > 0:
         search.given[0], search.given[1] = tail.actions[0], 0.0
         start(search, 0)
@@ -147,27 +147,27 @@ def _peek(search: Search, present: Search, tail: Tail, inputs: FloatArray) -> No
     inputs[0], inputs[1] = futures.f[0, ACCELERATION, ego], futures.f[0, STEERING, ego]
 
 
-@uncounted
-def _anew(search: Search, present: Search, tail: Tail) -> tuple[int, float]:
+@kernel_no_refcount
+def _anew(search: TrafficSearch, present: TrafficSearch, tail: BackupSequence) -> tuple[int, float]:
     """Find and store a new sequence: one that keeps the buffer, otherwise the one that lasts longest. Return the tier,
     and the least clearance beyond the buffer [m]."""
     depth = search.bounds.depth
-    look_from(search, present.futures, 0)
+    set_root(search, present.futures, 0)
     for k in range(search.order.shape[0]):
-        margin, _ = survives(search, search.order[k], tail.actions, 0)
+        margin, _ = find_sequence(search, search.order[k], tail.actions, 0)
         if margin >= 0:
             _store(search, tail, depth)
             return _ALTERNATIVE, margin
-    margin = clear_plan(search, ANY, ANY, stopping(search))
+    margin = clear_plan(search, ANY, ANY, stopping_cost(search))
     if margin >= 0:
         _store(search, tail, depth)
         return _ALTERNATIVE, margin
-    length, margin = longest(search, tail.actions, 0)
+    length, margin = longest_sequence(search, tail.actions, 0)
     _store(search, tail, max(length, 1))
     return _LARGEST, margin
 
 
-@inlined
+@kernel_inline
 def _between(proposal: FloatArray, inputs: FloatArray, kept: int, share: float) -> tuple[float, float]:
     """Input at `share` of the distance from the backup controller's input to the proposal; the component `kept` is that
     of the proposal."""
@@ -175,9 +175,14 @@ def _between(proposal: FloatArray, inputs: FloatArray, kept: int, share: float) 
     return throttle, inputs[1] + (1.0 if kept == _WHEEL else share) * (proposal[1] - inputs[1])
 
 
-@uncounted
+@kernel_no_refcount
 def _nearest(
-    search: Search, present: Search, tail: Tail, proposal: FloatArray, inputs: FloatArray, kept: int
+    search: TrafficSearch,
+    present: TrafficSearch,
+    tail: BackupSequence,
+    proposal: FloatArray,
+    inputs: FloatArray,
+    kept: int,
 ) -> tuple[float, float]:
     """Bisect between the backup controller's input and the proposal for the nearest input that verifies, with the
     component `kept` from the proposal. The sequence that follows it is stored.
@@ -204,9 +209,14 @@ def _nearest(
     return best, margin
 
 
-@uncounted
+@kernel_no_refcount
 def decide_inputs(
-    search: Search, present: Search, tail: Tail, proposal: FloatArray, known: bool, inputs: FloatArray
+    search: TrafficSearch,
+    present: TrafficSearch,
+    tail: BackupSequence,
+    proposal: FloatArray,
+    known: bool,
+    inputs: FloatArray,
 ) -> tuple[int, float]:
     """Decide about one frame, and advance the present by it.
 
@@ -232,7 +242,7 @@ def decide_inputs(
     if tail.counts[0] + tail.counts[1] == 0:
         tier, margin = _anew(search, present, tail)
         if tier == _LARGEST:
-            play(present, tail, inputs)
+            advance_backup(present, tail, inputs)
             # Without a sequence that keeps the buffer, the search is repeated in the next frame.
             tail.counts[0], tail.counts[1] = 0, 0
             return tier, margin
@@ -245,8 +255,8 @@ def decide_inputs(
                 return _GOVERNED, found
     if tail.counts[1] == 0 and tier == _STORED:
         # The stored sequence is replaced before its end if it can be extended.
-        look_from(search, present.futures, 0)
+        set_root(search, present.futures, 0)
         if _goes_on(search, tail) >= 0:
             _store(search, tail, search.bounds.depth)
-    play(present, tail, inputs)
+    advance_backup(present, tail, inputs)
     return tier, margin if tier == _ALTERNATIVE else math.nan

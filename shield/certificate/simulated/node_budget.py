@@ -6,35 +6,35 @@ decision.
 
 from __future__ import annotations
 
-from dynamics.compiled import uncounted
-from shield.certificate.simulated.dead_ends import forget_dead
-from shield.certificate.simulated.workspace import Search
+from dynamics.compiled import kernel_no_refcount
+from shield.certificate.simulated.dead_ends import clear_dead_ends
+from shield.certificate.simulated.workspace import TrafficSearch
 
-__all__ = ["begin_anew", "may_go_on", "try_once_more"]
+__all__ = ["grant_last_budget", "has_budget", "reset_budget"]
 
 
-@uncounted
-def _allow(search: Search, decisions: int) -> None:
+@kernel_no_refcount
+def _allow(search: TrafficSearch, decisions: int) -> None:
     """Allow `decisions` more from now on."""
     search.spent[1] = search.spent[0] + decisions
 
 
-@uncounted
-def begin_anew(search: Search) -> None:
+@kernel_no_refcount
+def reset_budget(search: TrafficSearch) -> None:
     """Reset the budget and the dead-end table for a new root state."""
-    forget_dead(search)
+    clear_dead_ends(search)
     search.spent[0] = 0
     _allow(search, search.bounds.effort)
 
 
-@uncounted
-def try_once_more(search: Search) -> None:
+@kernel_no_refcount
+def grant_last_budget(search: TrafficSearch) -> None:
     """Give the last searches a budget of their own and an empty dead-end table, after all others have failed."""
-    forget_dead(search)
+    clear_dead_ends(search)
     _allow(search, search.bounds.last)
 
 
-@uncounted
-def may_go_on(search: Search) -> bool:
+@kernel_no_refcount
+def has_budget(search: TrafficSearch) -> bool:
     """Whether any budget is left."""
     return bool(search.spent[0] < search.spent[1])

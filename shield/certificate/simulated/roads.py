@@ -1,4 +1,4 @@
-"""`ExactRoads`: many compiled environments on a road network, each with its meta-actions verified by simulation."""
+"""`SimulatedRoads`: many compiled environments on a road network, each with its meta-actions verified by simulation."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.layout import LANE
 from dynamics.highway_simulator.step_kernels import write_row
 from dynamics.road_networks.episodes.rewards import CROSSING
@@ -18,41 +18,41 @@ from dynamics.road_networks.episodes.step_kernels import (
     EpisodeRules,
     Episodes,
     EpisodeWork,
-    RoadsSeen,
-    again_at,
+    RoadStepResults,
     begin,
     finish,
+    start_next_episode,
 )
 from dynamics.road_networks.geometry.lanes import on_lane
 from dynamics.road_networks.geometry.layout import ACROSS, ALONG, FRAMES
 from dynamics.road_networks.simulation.frame_kernels import NetworkWorlds, advance, ego_of
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.traffic.crossing import make
-from shield.batch.arrays import Records
+from shield.batch.arrays import BatchRecords
 from shield.batch.codes import TIERS
 from shield.batch.step_kernels import let_pass
-from shield.certificate.simulated.decision_kernels import Plans, decide
-from shield.certificate.simulated.highways import ExactHighways
-from shield.certificate.simulated.workspace import Search
+from shield.certificate.simulated.decision_kernels import StoredSequences, decide
+from shield.certificate.simulated.highways import SimulatedHighways
+from shield.certificate.simulated.workspace import TrafficSearch
 from shield.config import ShieldConfig
 from shield.decision import Tier
 from shield.errors import ConfigError
 
-__all__ = ["ExactRoads"]
+__all__ = ["SimulatedRoads"]
 
 _OFF = TIERS.index(Tier.OFF)
 _ENDLESS = 1_000
 """Number of decisions that suffices if an episode ends only at a place on the road."""
 
 
-class ExactRoads(ExactHighways):
+class SimulatedRoads(SimulatedHighways):
     """Copies of an environment on a road network with meta-actions. Each has a filter with the same decisions as
     `Shield` with `ShieldConfig.simulated_traffic()` and `frames=False` around one environment.
 
     Parameters
     ----------
     env_id, num_envs, config, threads : as in `RoadSimulator`.
-    shield : as in `ExactHighways`, or settings of mode "none": the proposals are executed.
+    shield : as in `SimulatedHighways`, or settings of mode "none": the proposals are executed.
 
     Raises
     ------
@@ -61,7 +61,7 @@ class ExactRoads(ExactHighways):
 
     Attributes
     ----------
-    simulator, records, plans : as in `ExactHighways`.
+    simulator, records, plans : as in `SimulatedHighways`.
     rows : vehicle rows after each frame, the ego first. Rows beyond the number of bodies are infinitely far away.
     off_road : whether the ego was off the road.
 
@@ -161,7 +161,7 @@ class ExactRoads(ExactHighways):
             super()._mask(part, first, last, masks)
 
 
-@inlined
+@kernel_inline
 def _look(worlds: NetworkWorlds, rules: EpisodeRules, e: int, rows: FloatArray) -> bool:
     f, g, p, lanes = worlds.f[e], worlds.g[e], worlds.p[e], rules.drive.network.lanes
     ego, bodies, n = ego_of(g), worlds.counts[e, 1], 1
@@ -176,15 +176,15 @@ def _look(worlds: NetworkWorlds, rules: EpisodeRules, e: int, rows: FloatArray) 
     return on_lane(lanes, g[LANE, ego], f[ALONG, ego], f[ACROSS, ego], 0.0)
 
 
-@uncounted
+@kernel_no_refcount
 def _step_all(
-    search: Search,
+    search: TrafficSearch,
     episodes: Episodes,
     rules: EpisodeRules,
     work: EpisodeWork,
-    seen: RoadsSeen,
-    plans: Plans,
-    records: Records,
+    seen: RoadStepResults,
+    plans: StoredSequences,
+    records: BatchRecords,
     actions: IntArray,
     orders: IntArray,
     rows: FloatArray,
@@ -216,5 +216,5 @@ def _step_all(
         # The traffic is the one that was simulated, so no vehicle present can deviate.
         records.violations[e] = 0
         if again and (seen.terminated[e] or seen.truncated[e]):
-            again_at(machine, episodes, rules, work, seen, e)
+            start_next_episode(machine, episodes, rules, work, seen, e)
             plans.length[e] = 0

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.layout import (
     CRASHED,
     DIAGONAL,
@@ -29,37 +29,37 @@ from dynamics.highway_simulator.layout import (
 )
 from dynamics.highway_simulator.step_kernels import write_row
 from dynamics.state import FloatArray, IntArray
-from dynamics.traffic.rules_of_the_road import Ego, gap_between
-from shield.certificate.simulated.dead_ends import bury, is_dead
-from shield.certificate.simulated.node_budget import begin_anew
+from dynamics.traffic.rules_of_the_road import EgoFootprint, gap_between
+from shield.certificate.simulated.dead_ends import add_dead_end, is_dead_end_state
+from shield.certificate.simulated.node_budget import reset_budget
 from shield.certificate.simulated.traffic import (
     copy_more,
     ego_in,
     frame,
-    in_the_way,
     lanes_beside,
+    on_crossing,
     on_road,
     sorted_in,
     start,
 )
-from shield.certificate.simulated.workspace import ANY, Bounds, Search, Wish
+from shield.certificate.simulated.workspace import ANY, LaneSpeedTarget, SearchLimits, TrafficSearch
 
 __all__ = [
+    "begin_action",
     "clearance",
     "copy_future",
     "copy_state",
-    "depart",
-    "enter",
-    "foretell",
-    "in_depth",
-    "leap",
-    "leave",
-    "look_from",
-    "must_go_on",
+    "depth_first",
+    "ends_on_crossing",
+    "extend_past_crossing",
+    "find_sequence",
+    "finish_action",
     "repeats",
     "same_outcome",
-    "survives",
-    "travel",
+    "set_root",
+    "set_root_scene",
+    "simulate_action",
+    "simulate_sequence",
 ]
 
 _AT_REST = 1.0
@@ -72,7 +72,7 @@ _JOIN = 2 / 3
 action."""
 
 
-@uncounted
+@kernel_no_refcount
 def copy_state(worlds: Any, e: int, futures: Any, k: int) -> None:
     """Copy the moving state of one environment to a future."""
     f, g, f0, g0 = futures.f[k], futures.g[k], worlds.f[e], worlds.g[e]
@@ -87,24 +87,24 @@ def copy_state(worlds: Any, e: int, futures: Any, k: int) -> None:
     futures.clock[k] = worlds.clock[e]
 
 
-@uncounted
-def copy_future(search: Search, source: int, target: int) -> None:
+@kernel_no_refcount
+def copy_future(search: TrafficSearch, source: int, target: int) -> None:
     """Copy one future over another."""
     copy_state(search.futures, source, search.futures, target)
 
 
-@uncounted
-def look_from(search: Search, worlds: Any, e: int) -> None:
-    """Copy a state to future 0, like `enter`, for the same vehicles as at the last `enter`."""
+@kernel_no_refcount
+def set_root(search: TrafficSearch, worlds: Any, e: int) -> None:
+    """Copy a state to future 0, like `set_root_scene`, for the same vehicles as at the last `set_root_scene`."""
     copy_state(worlds, e, search.futures, 0)
-    begin_anew(search)
+    reset_budget(search)
     search.resting.margin[0], search.resting.allowed[0] = -np.inf, True
 
 
-@uncounted
-def enter(search: Search, worlds: Any, e: int) -> None:
+@kernel_no_refcount
+def set_root_scene(search: TrafficSearch, worlds: Any, e: int) -> None:
     """Copy the present of one environment to future 0."""
-    look_from(search, worlds, e)
+    set_root(search, worlds, e)
     p, p0 = search.futures.p, worlds.p[e]
     # The futures of the nodes are only copied from and to, never simulated in: they need no body parameters.
     for k in range(search.bounds.spare + 1):
@@ -114,11 +114,11 @@ def enter(search: Search, worlds: Any, e: int) -> None:
     copy_more(search, worlds, e)
     # An ego that stands on a crossing already may stay there.
     moves = abs(search.futures.f[0, SPEED, ego_in(search, 0)]) >= _AT_REST
-    search.resting.allowed[0] = not moves and in_the_way(search, 0)
+    search.resting.allowed[0] = not moves and on_crossing(search, 0)
 
 
-@uncounted
-def clearance(futures: Any, k: int, ego: int, bounds: Bounds, row: FloatArray) -> float:
+@kernel_no_refcount
+def clearance(futures: Any, k: int, ego: int, bounds: SearchLimits, row: FloatArray) -> float:
     """Least distance from the ego to any body, beyond the buffer [m]; negative if a body is inside the buffer.
 
     Parameters
@@ -128,7 +128,7 @@ def clearance(futures: Any, k: int, ego: int, bounds: Bounds, row: FloatArray) -
     f, g, p = futures.f[k], futures.g[k], futures.p[k]
     x, y, half_length, half_width = f[X, ego], f[Y, ego], 0.5 * p[LENGTH, ego], 0.5 * p[WIDTH, ego]
     along, across = half_length + bounds.longitudinal, half_width + bounds.lateral
-    own = Ego(x, y, f[HEADING, ego], f[SPEED, ego], along, across, half_length, half_width, False, False)
+    own = EgoFootprint(x, y, f[HEADING, ego], f[SPEED, ego], along, across, half_length, half_width, False, False)
     least, reach = np.inf, math.hypot(along, across)
     for i in range(f.shape[1]):
         if i == ego or not p[LENGTH, i] > 0:
@@ -140,8 +140,8 @@ def clearance(futures: Any, k: int, ego: int, bounds: Bounds, row: FloatArray) -
     return least
 
 
-@uncounted
-def depart(search: Search, source: int, target: int, action: int) -> tuple[int, float]:
+@kernel_no_refcount
+def begin_action(search: TrafficSearch, source: int, target: int, action: int) -> tuple[int, float]:
     """Begin an action in future `source`, with the result in future `target`. Return the target lane and the target
     speed of the ego [m/s], which are all that an action determines."""
     copy_future(search, source, target)
@@ -151,9 +151,9 @@ def depart(search: Search, source: int, target: int, action: int) -> tuple[int, 
     return search.futures.g[target, TARGET, ego], search.futures.f[target, TARGET_SPEED, ego]
 
 
-@uncounted
-def travel(search: Search, target: int, wish: Wish, floor: float) -> tuple[float, float]:
-    """Simulate the rest of the decision that `depart` has begun; see `leap`."""
+@kernel_no_refcount
+def finish_action(search: TrafficSearch, target: int, wish: LaneSpeedTarget, floor: float) -> tuple[float, float]:
+    """Simulate the rest of the decision that `begin_action` has begun; see `simulate_action`."""
     futures, rules, bounds, allies = search.futures, search.rules, search.bounds, search.team.columns
     f, g, dt, ego = futures.f[target], futures.g[target], rules.times[0], ego_in(search, target)
     search.spent[0] += 1
@@ -177,8 +177,10 @@ def travel(search: Search, target: int, wish: Wish, floor: float) -> tuple[float
     return least, lost
 
 
-@uncounted
-def leap(search: Search, source: int, target: int, action: int, wish: Wish, floor: float) -> tuple[float, float]:
+@kernel_no_refcount
+def simulate_action(
+    search: TrafficSearch, source: int, target: int, action: int, wish: LaneSpeedTarget, floor: float
+) -> tuple[float, float]:
     """Simulate an action in future `source`, with the result in future `target`.
 
     Parameters
@@ -191,12 +193,12 @@ def leap(search: Search, source: int, target: int, action: int, wish: Wish, floo
         end of the road nothing is checked.
     lost : distance lost against the target command [m], including the cost of its lane.
     """
-    depart(search, source, target, action)
-    return travel(search, target, wish, floor)
+    begin_action(search, source, target, action)
+    return finish_action(search, target, wish, floor)
 
 
-@uncounted
-def foretell(search: Search, actions: IntArray, length: int, rows: FloatArray) -> int:
+@kernel_no_refcount
+def simulate_sequence(search: TrafficSearch, actions: IntArray, length: int, rows: FloatArray) -> int:
     """Simulate the first `length` actions, or until the ego's road ends, and write the bodies now and after each frame.
 
     Parameters
@@ -226,7 +228,7 @@ def foretell(search: Search, actions: IntArray, length: int, rows: FloatArray) -
     return n
 
 
-@inlined
+@kernel_inline
 def repeats(reached: FloatArray, k: int) -> bool:
     """Whether row k of `reached`, the target lane and target speed of an action, repeats that of an earlier action.
     Then both actions have the same outcome."""
@@ -236,19 +238,19 @@ def repeats(reached: FloatArray, k: int) -> bool:
     return found
 
 
-@uncounted
-def same_outcome(search: Search, a: int, b: int) -> bool:
+@kernel_no_refcount
+def same_outcome(search: TrafficSearch, a: int, b: int) -> bool:
     """Whether two actions have the same target lane and target speed now."""
     spare = search.bounds.spare
-    return depart(search, 0, spare, a) == depart(search, 0, spare, b)
+    return begin_action(search, 0, spare, a) == begin_action(search, 0, spare, b)
 
 
-@uncounted
-def must_go_on(search: Search, k: int, sequence: IntArray, margin: float) -> bool:
+@kernel_no_refcount
+def ends_on_crossing(search: TrafficSearch, k: int, sequence: IntArray, margin: float) -> bool:
     """Whether a sequence for the whole horizon is refused because the ego is on a crossing at its end, future k. The
     first such sequence is stored in `search.resting`."""
     resting = search.resting
-    if resting.allowed[0] or not in_the_way(search, k):
+    if resting.allowed[0] or not on_crossing(search, k):
         return False
     if resting.margin[0] < 0.0:
         resting.margin[0] = margin
@@ -257,9 +259,9 @@ def must_go_on(search: Search, k: int, sequence: IntArray, margin: float) -> boo
     return True
 
 
-@uncounted
-def in_depth(
-    search: Search,
+@kernel_no_refcount
+def depth_first(
+    search: TrafficSearch,
     first: int,
     stored: IntArray,
     length: int,
@@ -278,7 +280,7 @@ def in_depth(
         are valid; elsewhere slowing down is tried first.
     known : number of levels for which the futures and the other buffers are valid already.
     floor : least clearance beyond the buffer [m]. budget : number of decisions that may be simulated.
-    leaves : whether a sequence for the whole horizon may not end on a crossing (`in_the_way`).
+    leaves : whether a sequence for the whole horizon may not end on a crossing (`on_crossing`).
 
     Returns
     -------
@@ -295,7 +297,7 @@ def in_depth(
         only = level == 0 and first != ANY
         if tried > (0 if only else n):
             if level > 0:
-                bury(search, level)
+                add_dead_end(search, level)
             level -= 1
             continue
         preferred = stored[level] if level < length else search.order[0]
@@ -304,15 +306,15 @@ def in_depth(
         if not only and tried > 0 and action == preferred:
             continue
         reached = search.reached[level]
-        reached[tried, 0], reached[tried, 1] = depart(search, level, level + 1, action)
+        reached[tried, 0], reached[tried, 1] = begin_action(search, level, level + 1, action)
         if repeats(reached, tried):
             continue
-        least, _ = travel(search, level + 1, Wish(0.0, 0.0, 0.0), floor)
-        if least < floor or is_dead(search, level + 1):
+        least, _ = finish_action(search, level + 1, LaneSpeedTarget(0.0, 0.0, 0.0), floor)
+        if least < floor or is_dead_end_state(search, level + 1):
             continue
         search.sequence[level] = action
         search.least[level + 1] = min(search.least[level], least)
-        if leaves and level + 1 == bounds.depth and in_the_way(search, level + 1):
+        if leaves and level + 1 == bounds.depth and on_crossing(search, level + 1):
             continue
         level += 1
         if level > lasts:
@@ -323,23 +325,23 @@ def in_depth(
     return lasts, clear if lasts > 0 else -np.inf, lasts < bounds.depth and search.spent[0] >= until
 
 
-@uncounted
-def leave(search: Search, first: int, margin: float) -> float:
+@kernel_no_refcount
+def extend_past_crossing(search: TrafficSearch, first: int, margin: float) -> float:
     """Least clearance beyond the buffer of the sequence for the whole horizon in `search.plan` [m]. If it ends on a
     crossing, it is replaced by one with the same first action that drives on as fast as possible; -inf if none is
     found."""
     depth, going, once = search.bounds.depth, search.resting.going, search.resting.margin[0] >= 0.0
-    if not must_go_on(search, depth, search.plan, margin):
+    if not ends_on_crossing(search, depth, search.plan, margin):
         return margin
     budget = depth if once else _LEAVE * depth
-    lasts, margin, _ = in_depth(search, first, going, depth, 0, 0.0, budget, True)
+    lasts, margin, _ = depth_first(search, first, going, depth, 0, 0.0, budget, True)
     return margin if lasts == depth else -np.inf
 
 
-@uncounted
-def survives(search: Search, first: int, stored: IntArray, length: int) -> tuple[float, bool]:
+@kernel_no_refcount
+def find_sequence(search: TrafficSearch, first: int, stored: IntArray, length: int) -> tuple[float, bool]:
     """Search for a sequence that begins with an action and keeps the buffer for the whole horizon, into `search.plan`;
-    see `in_depth`.
+    see `depth_first`.
 
     The stored sequence may begin with another action. Then, on a network, the larger part of the budget is for joining
     it again, and the rest for slowing down. On a straight highway all of it is for slowing down.
@@ -354,8 +356,8 @@ def survives(search: Search, first: int, stored: IntArray, length: int) -> tuple
     lasts, margin, exhausted = 0, -np.inf, True
     if length > 0 and not begins and not search.bounds.straight:
         joins = math.ceil(_JOIN * budget)
-        lasts, margin, exhausted = in_depth(search, first, stored, length, 0, 0.0, joins)
+        lasts, margin, exhausted = depth_first(search, first, stored, length, 0, 0.0, joins)
         budget -= joins
     if lasts < depth and exhausted:
-        lasts, margin, exhausted = in_depth(search, first, stored, length if begins else 0, 0, 0.0, budget)
-    return (leave(search, search.plan[0], margin) if lasts == depth else -np.inf), exhausted
+        lasts, margin, exhausted = depth_first(search, first, stored, length if begins else 0, 0, 0.0, budget)
+    return (extend_past_crossing(search, search.plan[0], margin) if lasts == depth else -np.inf), exhausted

@@ -4,29 +4,38 @@ from __future__ import annotations
 
 import math
 
-from dynamics.compiled import uncounted
+from dynamics.compiled import kernel_no_refcount
 from dynamics.highway_simulator.neighbours import sort
-from dynamics.highway_simulator.step_kernels import Seen, View, Worlds, advance, begin, finish, follow, look
+from dynamics.highway_simulator.step_kernels import (
+    ObservationConfig,
+    StepResults,
+    Worlds,
+    advance,
+    begin,
+    begin_next_episode,
+    finish,
+    look,
+)
 from dynamics.state import BoolArray, FloatArray, IntArray
-from shield.batch.arrays import Records
+from shield.batch.arrays import BatchRecords
 from shield.batch.codes import TIERS
-from shield.certificate.simulated.decision_kernels import Plans, decide
-from shield.certificate.simulated.workspace import Search
+from shield.certificate.simulated.decision_kernels import StoredSequences, decide
+from shield.certificate.simulated.workspace import TrafficSearch
 from shield.decision import Tier
 
-__all__ = ["step_all_exact"]
+__all__ = ["step_all_simulated"]
 
 _OFF = TIERS.index(Tier.OFF)
 
 
-@uncounted
-def step_all_exact(
-    search: Search,
+@kernel_no_refcount
+def step_all_simulated(
+    search: TrafficSearch,
     worlds: Worlds,
-    view: View,
-    seen: Seen,
-    plans: Plans,
-    records: Records,
+    view: ObservationConfig,
+    seen: StepResults,
+    plans: StoredSequences,
+    records: BatchRecords,
     actions: IntArray,
     orders: IntArray,
     rows: FloatArray,
@@ -50,5 +59,5 @@ def step_all_exact(
         # The traffic is the one that was simulated, so it cannot deviate.
         records.violations[e] = 0
         if again and (seen.terminated[e] or seen.truncated[e]):
-            follow(machine, worlds, rules, view, work, seen, e)
+            begin_next_episode(machine, worlds, rules, view, work, seen, e)
             plans.length[e] = 0

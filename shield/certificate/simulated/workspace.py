@@ -13,7 +13,16 @@ from dynamics.road_networks.simulation.simulator import NetworkSimulator
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.config import ShieldConfig
 
-__all__ = ["ANY", "NOBODY", "Bounds", "Nodes", "Search", "Team", "Wish", "new_search"]
+__all__ = [
+    "ANY",
+    "NOBODY",
+    "LaneSpeedNodes",
+    "LaneSpeedTarget",
+    "OtherEgos",
+    "SearchLimits",
+    "TrafficSearch",
+    "new_search",
+]
 
 ANY = -1
 """Stands for any action."""
@@ -42,7 +51,7 @@ _NODES = 1024
 """Number of futures that a search over lanes and speeds may compare."""
 
 
-class Bounds(NamedTuple):
+class SearchLimits(NamedTuple):
     """Limits of a search.
 
     Attributes
@@ -70,7 +79,7 @@ class Bounds(NamedTuple):
     spare: int
 
 
-class Wish(NamedTuple):
+class LaneSpeedTarget(NamedTuple):
     """Target command of a proposal, with the cost of the lanes beside.
 
     Attributes
@@ -84,7 +93,7 @@ class Wish(NamedTuple):
     right: float
 
 
-class Dead(NamedTuple):
+class DeadEnds(NamedTuple):
     """Dead-end table of one decision.
 
     Attributes
@@ -98,7 +107,7 @@ class Dead(NamedTuple):
     states: FloatArray
 
 
-class Resting(NamedTuple):
+class SequenceToCrossing(NamedTuple):
     """A sequence that keeps the buffer and ends with the ego on a crossing where others may appear. It is used only if
     no other is found.
 
@@ -116,7 +125,7 @@ class Resting(NamedTuple):
     allowed: BoolArray
 
 
-class Nodes(NamedTuple):
+class LaneSpeedNodes(NamedTuple):
     """Nodes of a search over lanes and speeds; the future `spare + 1 + i` belongs to node i.
 
     Attributes
@@ -139,7 +148,7 @@ class Nodes(NamedTuple):
     open: BoolArray
 
 
-class Team(NamedTuple):
+class OtherEgos(NamedTuple):
     """The other egos (multi-agent) and their plans.
 
     Attributes
@@ -153,7 +162,7 @@ class Team(NamedTuple):
     since: IntArray
 
 
-class Search(NamedTuple):
+class TrafficSearch(NamedTuple):
     """Traffic rules and workspace for the searches of one thread, with K lanes and target speeds.
 
     Attributes
@@ -175,7 +184,7 @@ class Search(NamedTuple):
     machine: Machine
     rules: Any
     work: Any
-    bounds: Bounds
+    bounds: SearchLimits
     futures: Any
     order: IntArray
     given: FloatArray
@@ -187,17 +196,17 @@ class Search(NamedTuple):
     plan: IntArray
     hint: IntArray
     sequence: IntArray
-    team: Team
-    nodes: Nodes
-    dead: Dead
-    resting: Resting
+    team: OtherEgos
+    nodes: LaneSpeedNodes
+    dead: DeadEnds
+    resting: SequenceToCrossing
 
 
 _SAFEST_FIRST = (4, 1, 2, 0, 3)
 """Labels of the actions (see `dynamics.highway_simulator.step_kernels.Rules`): slower, none, right, left, faster."""
 
 
-def _takes(search: Search, simulator: Simulator | NetworkSimulator, allies: int) -> bool:
+def _takes(search: TrafficSearch, simulator: Simulator | NetworkSimulator, allies: int) -> bool:
     """Whether a search has the dimensions of a simulator's traffic."""
     old, rules = search.rules, simulator.rules
     return (
@@ -216,8 +225,8 @@ def _kinds(rules: Any) -> int:
 
 
 def new_search(
-    simulator: Simulator | NetworkSimulator, config: ShieldConfig, allies: int = 0, old: Search | None = None
-) -> Search:
+    simulator: Simulator | NetworkSimulator, config: ShieldConfig, allies: int = 0, old: TrafficSearch | None = None
+) -> TrafficSearch:
     """Workspace for searches in the traffic of a simulator, with `allies` other egos.
 
     Parameters
@@ -232,7 +241,7 @@ def new_search(
     straight = isinstance(rules, Rules)
     depth = max(1, math.ceil((config.horizon if straight else config.network_horizon) / rules.times[1] - 1e-9))
     outlook = _OUTLOOK if straight else _OUTLOOK_ON_NETWORKS
-    bounds = Bounds(
+    bounds = SearchLimits(
         longitudinal=config.buffer.longitudinal,
         lateral=config.buffer.lateral,
         depth=depth,
@@ -248,7 +257,7 @@ def new_search(
     kinds, order = _kinds(rules), np.array([labels.index(label) for label in _SAFEST_FIRST if label in labels], index)
     going = np.full(depth, order[-1], index)
     n = min(depth * kinds, _NODES)
-    return Search(
+    return TrafficSearch(
         machine=simulator.machine,
         rules=rules,
         work=simulator.new_work(),
@@ -264,8 +273,8 @@ def new_search(
         plan=np.zeros(depth, index),
         hint=np.zeros(depth, index),
         sequence=np.zeros(depth, index),
-        team=Team(np.zeros(allies, index), np.zeros((allies, depth + 1), index), np.zeros(1, index)),
-        nodes=Nodes(
+        team=OtherEgos(np.zeros(allies, index), np.zeros((allies, depth + 1), index), np.zeros(1, index)),
+        nodes=LaneSpeedNodes(
             slots=np.full((depth, kinds), NOBODY, index),
             cost=np.zeros(n),
             bound=np.zeros(n),
@@ -276,6 +285,6 @@ def new_search(
             action=np.zeros(n, index),
             open=np.zeros(n, np.bool_),
         ),
-        dead=Dead(np.zeros(depth + 1, index), np.zeros((depth + 1, _DEAD, 5))),
-        resting=Resting(going, np.zeros(depth, index), np.zeros(1), np.zeros(1, np.bool_)),
+        dead=DeadEnds(np.zeros(depth + 1, index), np.zeros((depth + 1, _DEAD, 5))),
+        resting=SequenceToCrossing(going, np.zeros(depth, index), np.zeros(1), np.zeros(1, np.bool_)),
     )

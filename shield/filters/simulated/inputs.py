@@ -12,35 +12,35 @@ import numpy as np
 from dynamics.errors import ConfigError
 from dynamics.highway_simulator.env import CompiledHighwayEnv
 from dynamics.highway_simulator.layout import CONTINUOUS, KIND, TARGET, TARGET_SPEED
-from dynamics.road_networks.geometry.layout import LAW
+from dynamics.road_networks.geometry.layout import USES_CONTROLLERS
 from dynamics.road_networks.simulation.simulator import NetworkSimulator
-from dynamics.scenes.parking_lot import is_lot
+from dynamics.scenes.parking_lot import is_parking_lot
 from dynamics.state import FloatArray
 from shield.batch.codes import TIERS
-from shield.certificate.simulated.inputs import Tail, decide_inputs, empty_tail, play
-from shield.certificate.simulated.workspace import Search
+from shield.certificate.simulated.inputs import BackupSequence, advance_backup, decide_inputs, empty_tail
+from shield.certificate.simulated.workspace import TrafficSearch
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier
 from shield.explaining.simulated import copy_of
 from shield.filters.input_frames import InputFrames
 from shield.filters.simulated.predicted_scene import (
     STATE,
-    ExactScene,
-    Foretells,
+    PredictedScene,
+    PredictingFilter,
     Room,
     check_traffic,
+    scene_failure,
     simulate_network,
-    why_unread,
 )
 from shield.supported_environments import check
 
-__all__ = ["ExactInputDoor"]
+__all__ = ["SimulatedInputFilter"]
 
 _HOLD = 1.0
 """Duration for which the lane-and-speed controllers keep a target command before the next one [s]."""
 
 
-class ExactInputDoor(Foretells, InputFrames):
+class SimulatedInputFilter(PredictingFilter, InputFrames):
     """Filters throttle and steering where the traffic consists of known classes and follows from its state.
 
     At every frame the proposal is simulated for that frame. After it the lane-and-speed controllers track a sequence of
@@ -67,13 +67,13 @@ class ExactInputDoor(Foretells, InputFrames):
             raise ConfigError(
                 "throttle and steering are verified by simulation in highway-env, not in its compiled copy"
             )
-        if is_lot(base):
+        if is_parking_lot(base):
             raise ConfigError(
                 f"nothing is simulated in a parking lot, {type(base).__name__}: leave ShieldConfig.simulated_traffic() "
                 "out; ShieldedEnv(env) and Shield(policy, env) filter ContinuousAction there"
             )
         super().__init__(base, config)
-        self._scene = ExactScene(base, config, self._simulate, self._verifies)
+        self._scene = PredictedScene(base, config, self._simulate, self._verifies)
         self._inputs = np.zeros(2)
         self.reset()
         if base.road is not None:
@@ -95,9 +95,9 @@ class ExactInputDoor(Foretells, InputFrames):
         check_traffic(self._base)
         self._begin()
         self._scene.forget()
-        self._search: Search | None = None
-        self._present: Search | None = None
-        self._tail: Tail = empty_tail(1)
+        self._search: TrafficSearch | None = None
+        self._present: TrafficSearch | None = None
+        self._tail: BackupSequence = empty_tail(1)
 
     def _physical(self, action: Any, read: FloatArray) -> FloatArray:
         """Acceleration [m/s^2] and wheel angle [rad], (2,), from highway-env's own code: in the precision of the
@@ -113,7 +113,7 @@ class ExactInputDoor(Foretells, InputFrames):
         try:
             search, present = self._read(begins)
         except Exception as error:
-            reason, self.cause = why_unread(error)
+            reason, self.cause = scene_failure(error)
             return self._last_resort(reason, start)
         known, proposal, tail = self._proposal is not None, np.zeros(2), self._tail
         # The decision advances `present`.
@@ -145,7 +145,7 @@ class ExactInputDoor(Foretells, InputFrames):
         """Inputs without a readable scene: the stored plan, or braking with the wheel straight."""
         tier, present = Tier.EMERGENCY, self._present
         if present is not None and self._tail.counts.any():
-            play(present, self._tail, self._inputs)
+            advance_backup(present, self._tail, self._inputs)
             tier = Tier.STORED_PLAN
         else:
             speed = float(getattr(self._base.vehicle, "speed", np.nan))
@@ -172,9 +172,13 @@ class ExactInputDoor(Foretells, InputFrames):
             return None
         futures = self._present.futures
         ego = int(np.flatnonzero(futures.g[0, KIND] == CONTINUOUS)[0])
-        return int(futures.g[0, LAW, ego]), int(futures.g[0, TARGET, ego]), float(futures.f[0, TARGET_SPEED, ego])
+        return (
+            int(futures.g[0, USES_CONTROLLERS, ego]),
+            int(futures.g[0, TARGET, ego]),
+            float(futures.f[0, TARGET_SPEED, ego]),
+        )
 
-    def _read(self, begins: bool) -> tuple[Search, Search]:
+    def _read(self, begins: bool) -> tuple[TrafficSearch, TrafficSearch]:
         """Search buffers, and the present scene.
 
         Between two frames of a decision the scene is the predicted one if all states are as predicted. It is read again
@@ -191,7 +195,7 @@ class ExactInputDoor(Foretells, InputFrames):
             elif law is not None:
                 # highway-env has no state of these controllers: restore it.
                 f, g, ego = simulator.worlds.f[0], simulator.worlds.g[0], self._scene.ego(self._scene.bodies())
-                g[LAW, ego], g[TARGET, ego], f[TARGET_SPEED, ego] = law
+                g[USES_CONTROLLERS, ego], g[TARGET, ego], f[TARGET_SPEED, ego] = law
             if len(self._tail.actions) != search.bounds.depth:
                 self._tail = empty_tail(search.bounds.depth)
             self._search, self._present = search, present

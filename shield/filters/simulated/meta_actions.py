@@ -16,41 +16,41 @@ from dynamics.road_networks.simulation.simulator import NetworkSimulator
 from dynamics.road_networks.simulation.supported_traffic import on_network
 from dynamics.state import FloatArray
 from shield.alternatives.preference import resolve
-from shield.batch.arrays import Records, empty_records
+from shield.batch.arrays import BatchRecords, empty_records
 from shield.batch.codes import REASONS, TIERS
 from shield.certificate.simulated.decision_kernels import (
-    Plans,
-    boxed_in,
+    StoredSequences,
     empty_plans,
+    has_no_certificate,
     last_resort,
-    passes,
     replace,
+    try_proposal,
     verify,
 )
-from shield.certificate.simulated.node_budget import begin_anew
-from shield.certificate.simulated.search import enter, leap
-from shield.certificate.simulated.workspace import Search, Wish
+from shield.certificate.simulated.node_budget import reset_budget
+from shield.certificate.simulated.search import set_root_scene, simulate_action
+from shield.certificate.simulated.workspace import LaneSpeedTarget, TrafficSearch
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Source
-from shield.environments import check_configuration, refuse_lots
-from shield.explaining.simulated import Simulated, copy_of
+from shield.environments import check_configuration, refuse_parking_lots
+from shield.explaining.simulated import SimulatedDecisionData, copy_of
 from shield.filters.discrete_action import action_index
 from shield.filters.simulated.predicted_scene import (
     STATE,
-    ExactScene,
-    Foretells,
+    PredictedScene,
+    PredictingFilter,
     Room,
     check_traffic,
+    scene_failure,
     simulate_network,
-    why_unread,
 )
 from shield.pipelines.screen import slower
 from shield.supported_environments import check
 
-__all__ = ["ExactDoor", "as_decision"]
+__all__ = ["SimulatedMetaActionFilter", "as_decision"]
 
 
-class ExactDoor(Foretells):
+class SimulatedMetaActionFilter(PredictingFilter):
     """Filters meta-actions where the traffic consists of known classes and follows from its state.
 
     It supports straight highways and the networks of merges, exits, roundabouts, two-way roads, u-turns and
@@ -76,15 +76,15 @@ class ExactDoor(Foretells):
     supervising = False
 
     def __init__(self, base: Any, config: ShieldConfig) -> None:
-        refuse_lots([base])
+        refuse_parking_lots([base])
         check(config)
         self.config, self._base = config, base
         self.on_network = not isinstance(base, CompiledHighwayEnv) and on_network(base)
         self._check()
-        self._scene = ExactScene(base, config, _simulate, self._verifies)
+        self._scene = PredictedScene(base, config, _simulate, self._verifies)
         self.cause = ""
-        self._plans: Plans = empty_plans(1, 1)
-        self._search: Search | None = None
+        self._plans: StoredSequences = empty_plans(1, 1)
+        self._search: TrafficSearch | None = None
 
     def reset(self) -> None:
         """Clear everything about the episode.
@@ -112,7 +112,7 @@ class ExactDoor(Foretells):
         try:
             simulator, search = self._read()
         except Exception as error:
-            reason, self.cause = why_unread(error)
+            reason, self.cause = scene_failure(error)
         records = empty_records(1, 1)
         if reason is not None:
             self._scene.expect_nothing()
@@ -120,20 +120,20 @@ class ExactDoor(Foretells):
             last_resort(records, self._plans, 0, slowest, REASONS.index(reason))
             return as_decision(shown, records, start)
         source = None
-        if not passes(search, self._plans, records, simulator.worlds, 0, proposed):
+        if not try_proposal(search, self._plans, records, simulator.worlds, 0, proposed):
             source = self._kept(search, simulator, proposed)
             # The policy's order is computed only if another action may replace the proposal.
             wanted = resolve(order) or []
             ranked = np.array([*(a for a in wanted if a != proposed), -1], np.intp)
             replace(search, self._plans, records, 0, proposed, ranked)
-        leap(search, 0, 1, int(records.executed[0]), Wish(0.0, 0.0, 0.0), -math.inf)
+        simulate_action(search, 0, 1, int(records.executed[0]), LaneSpeedTarget(0.0, 0.0, 0.0), -math.inf)
         self._scene.expect(search.futures.f[1][STATE])
         plan, areas = None, None
         if self.config.record:
             plan, areas = self._scene.shown(search, search.plan, int(self._plans.length[0]) + 1)
         return as_decision(shown, records, start, plan, areas, source)
 
-    def _kept(self, search: Search, simulator: Any, proposed: int) -> Simulated:
+    def _kept(self, search: TrafficSearch, simulator: Any, proposed: int) -> SimulatedDecisionData:
         """Data for an explanation of a refusal."""
         return self._scene.kept(
             search, copy_of(simulator.worlds), proposed, self._plans.actions[0], self._plans.length[0]
@@ -146,7 +146,7 @@ class ExactDoor(Foretells):
         if len(self._plans.actions[0]) == search.bounds.depth and self._plans.verified[0]:
             plans = deepcopy(self._plans)
         slowest = int(search.order[0])
-        if not passes(search, plans, records, simulator.worlds, 0, slowest):
+        if not try_proposal(search, plans, records, simulator.worlds, 0, slowest):
             replace(search, plans, records, 0, slowest, np.full(1, -1, np.intp))
         return bool(TIERS[records.tier[0]].verified)
 
@@ -159,17 +159,17 @@ class ExactDoor(Foretells):
             If the traffic cannot be simulated.
         """
         simulator, search = self._read(counting=False)
-        enter(search, simulator.worlds, 0)
+        set_root_scene(search, simulator.worlds, 0)
         plans, actions = self._plans, range(len(search.order))
-        twice, stored, length = not boxed_in(plans, 0), plans.actions[0], plans.length[0]
+        twice, stored, length = not has_no_certificate(plans, 0), plans.actions[0], plans.length[0]
         mask = np.zeros(len(search.order), np.bool_)
         for k in actions:
             # Clear the dead-end table: `decide` starts without entries of an earlier search.
-            begin_anew(search)
+            reset_budget(search)
             mask[k] = verify(search, k, stored, length, twice) >= 0
         return mask if mask.any() else np.ones_like(mask)
 
-    def source(self, proposed: int) -> Simulated:
+    def source(self, proposed: int) -> SimulatedDecisionData:
         """Data for an explanation of a refusal of `proposed` in the present scene.
 
         Raises
@@ -205,7 +205,7 @@ def _simulate(base: Any, like: Any) -> Simulator | NetworkSimulator:
 
 def as_decision(
     shown: Any,
-    records: Records,
+    records: BatchRecords,
     start: float,
     plan: FloatArray | None = None,
     areas: FloatArray | None = None,

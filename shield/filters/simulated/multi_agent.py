@@ -14,12 +14,18 @@ from highway_env.envs.common.action import DiscreteMetaAction, MultiAgentAction
 from dynamics.highway_simulator.layout import ALLY, EGO, KIND
 from dynamics.road_networks.geometry.layout import FRAMES
 from dynamics.road_networks.simulation.supported_traffic import check_network, on_network
-from dynamics.scenes.parking_lot import is_lot
+from dynamics.scenes.parking_lot import is_parking_lot
 from shield.batch.arrays import empty_records
 from shield.batch.codes import REASONS
-from shield.certificate.simulated.decision_kernels import Plans, empty_plans, last_resort, passes, replace
-from shield.certificate.simulated.search import leap
-from shield.certificate.simulated.workspace import Wish
+from shield.certificate.simulated.decision_kernels import (
+    StoredSequences,
+    empty_plans,
+    last_resort,
+    replace,
+    try_proposal,
+)
+from shield.certificate.simulated.search import simulate_action
+from shield.certificate.simulated.workspace import LaneSpeedTarget
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason
 from shield.environments import check_configuration
@@ -27,19 +33,26 @@ from shield.errors import ConfigError
 from shield.explaining.simulated import copy_of
 from shield.filters.discrete_action import action_index
 from shield.filters.simulated.meta_actions import as_decision
-from shield.filters.simulated.predicted_scene import STATE, ExactScene, Foretells, Room, simulate_network, why_unread
+from shield.filters.simulated.predicted_scene import (
+    STATE,
+    PredictedScene,
+    PredictingFilter,
+    Room,
+    scene_failure,
+    simulate_network,
+)
 from shield.pipelines.screen import slower
 from shield.supported_environments import check
 
-__all__ = ["TeamDoor", "is_team"]
+__all__ = ["MultiAgentFilter", "is_multi_agent"]
 
 
-def is_team(base: Any) -> bool:
+def is_multi_agent(base: Any) -> bool:
     """Whether an environment, unwrapped, has several egos."""
     return isinstance(getattr(base, "action_type", None), MultiAgentAction)
 
 
-class TeamDoor(Foretells):
+class MultiAgentFilter(PredictingFilter):
     """Filters the meta-actions of several egos in simulated traffic.
 
     Each ego has a plan, and all plans together keep every ego's buffer. The proposals are verified one after the other:
@@ -66,7 +79,7 @@ class TeamDoor(Foretells):
 
     def __init__(self, base: Any, config: ShieldConfig) -> None:
         # First the refusals that no other setting remedies; otherwise a message would suggest these settings.
-        if not on_network(base) or is_lot(base):
+        if not on_network(base) or is_parking_lot(base):
             raise ConfigError(
                 f"several egos are shielded on networks of roads, such as intersection-multi-agent-v2, not in "
                 f"{type(base).__name__}"
@@ -84,7 +97,7 @@ class TeamDoor(Foretells):
             )
         check(config)
         self.config, self._base = config, base
-        self._scene = ExactScene(base, config, simulate_network, self._verifies)
+        self._scene = PredictedScene(base, config, simulate_network, self._verifies)
         self.cause = ""
         self.reset()
 
@@ -104,7 +117,7 @@ class TeamDoor(Foretells):
         check_configuration(self._base, self.config)
         check_network(self._base)
         self._scene.forget()
-        self._plans: list[Plans] = [empty_plans(1, 1) for _ in range(self.agents)]
+        self._plans: list[StoredSequences] = [empty_plans(1, 1) for _ in range(self.agents)]
 
     def decide(self, actions: Sequence[Any]) -> list[Decision]:
         """Filter the meta-actions of all egos.
@@ -126,7 +139,7 @@ class TeamDoor(Foretells):
         try:
             simulator, search = self._scene.read()
         except Exception as error:
-            reason, self.cause = why_unread(error)
+            reason, self.cause = scene_failure(error)
             return self._last_resort(actions, reason, start)
         for k, plans in enumerate(self._plans):
             if len(plans.actions[0]) != search.bounds.depth:
@@ -134,12 +147,12 @@ class TeamDoor(Foretells):
             elif self._scene.surprised:
                 plans.length[0] = 0
         decisions = self._one_by_one(actions, self._base, (simulator, search), self._plans, start)
-        leap(search, 0, 1, int(decisions[-1].executed), Wish(0.0, 0.0, 0.0), -math.inf)
+        simulate_action(search, 0, 1, int(decisions[-1].executed), LaneSpeedTarget(0.0, 0.0, 0.0), -math.inf)
         self._scene.expect(search.futures.f[1][STATE])
         return decisions
 
     def _one_by_one(
-        self, actions: Sequence[Any], base: Any, room: Room, remembered: list[Plans], start: float
+        self, actions: Sequence[Any], base: Any, room: Room, remembered: list[StoredSequences], start: float
     ) -> list[Decision]:
         """Decide for one ego after the other in the scene of `base`. Updates `remembered`, the egos' plans."""
         simulator, search = room
@@ -162,11 +175,11 @@ class TeamDoor(Foretells):
             wanted[k, 1 : 1 + plans.length[0]] = plans.actions[0, : plans.length[0]]
         return decisions
 
-    def _of_one(self, action: Any, room: Room, plans: Plans, start: float) -> Decision:
+    def _of_one(self, action: Any, room: Room, plans: StoredSequences, start: float) -> Decision:
         """Decide for one ego."""
         proposed, records = action_index(action), empty_records(1, 1)
         (simulator, search), source = room, None
-        if not passes(search, plans, records, simulator.worlds, 0, proposed):
+        if not try_proposal(search, plans, records, simulator.worlds, 0, proposed):
             team = search.team.columns.copy(), search.team.plans.copy(), int(search.team.since[0])
             planned = plans.actions[0], plans.length[0]
             source = self._scene.kept(search, copy_of(simulator.worlds), proposed, *planned, team)
@@ -201,7 +214,7 @@ def _with_meta_actions(base: Any) -> str:
     """
     action = {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}
     try:
-        TeamDoor(type(base)(config={**base.config, "action": action}), ShieldConfig.simulated_traffic())
+        MultiAgentFilter(type(base)(config={**base.config, "action": action}), ShieldConfig.simulated_traffic())
     except Exception:
         # An error of this check must not hide the message that it is for.
         return ""

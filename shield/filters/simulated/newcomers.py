@@ -8,13 +8,13 @@ from typing import Any
 
 from dynamics.road_networks.simulation.supported_traffic import may_have_spawned
 
-__all__ = ["blocking", "unannounced"]
+__all__ = ["blocking", "unpredicted"]
 
 Verifies = Callable[[Any], bool]
 """Whether any sequence of actions verifies in an environment, unwrapped; False if it cannot be simulated."""
 
 
-def unannounced(base: Any, foretold: Set[Any]) -> set[Any]:
+def unpredicted(base: Any, foretold: Set[Any]) -> set[Any]:
     """Vehicles and obstacles that were not predicted, without the egos and those that highway-env may have spawned
     itself.
 

@@ -13,27 +13,27 @@ from highway_env.envs.common.action import ContinuousAction
 from dynamics.errors import ConfigError, SceneError
 from dynamics.highway_simulator.env import CompiledHighwayEnv
 from dynamics.highway_simulator.layout import HEADING, LENGTH, SPEED, WIDTH, X, Y
-from dynamics.highway_simulator.own_methods import check_moves
+from dynamics.highway_simulator.own_methods import check_own_methods
 from dynamics.highway_simulator.scenario import scenario_of_live
 from dynamics.highway_simulator.simulator import Simulator
 from dynamics.road_networks.geometry.network import index_of
 from dynamics.road_networks.simulation.simulator import NetworkSimulator
 from dynamics.road_networks.simulation.supported_traffic import check_network, on_network
 from dynamics.state import FloatArray, IntArray
-from shield.certificate.network.monitor import Breach
-from shield.certificate.simulated.search import foretell
-from shield.certificate.simulated.workspace import Search, new_search
+from shield.certificate.network.monitor import NetworkRule
+from shield.certificate.simulated.search import simulate_sequence
+from shield.certificate.simulated.workspace import TrafficSearch, new_search
 from shield.config import ShieldConfig
 from shield.decision import Reason
-from shield.explaining.simulated import Simulated
+from shield.explaining.simulated import SimulatedDecisionData
 from shield.filters.discrete_action import action_labels
-from shield.filters.simulated.newcomers import blocking, unannounced
+from shield.filters.simulated.newcomers import blocking, unpredicted
 
-__all__ = ["STATE", "ExactScene", "Foretells", "Room", "check_traffic", "simulate_network", "why_unread"]
+__all__ = ["STATE", "PredictedScene", "PredictingFilter", "Room", "check_traffic", "scene_failure", "simulate_network"]
 
 _log = logging.getLogger(__name__)
 
-Room = tuple[Simulator | NetworkSimulator, Search]
+Room = tuple[Simulator | NetworkSimulator, TrafficSearch]
 """A simulator of the present scene, and search buffers for it."""
 STATE = [X, Y, HEADING, SPEED]
 """Rows of the predicted arrays."""
@@ -45,7 +45,7 @@ _ELSEWHERE = 100.0
 """No vehicle deviates by this much from a prediction within one decision [m]; a vehicle further away is a newcomer."""
 
 
-def why_unread(error: Exception) -> tuple[Reason, str]:
+def scene_failure(error: Exception) -> tuple[Reason, str]:
     """Reason and cause of a record after an error while reading the scene. An unexpected error is logged."""
     if isinstance(error, SceneError | ConfigError):
         return Reason.BAD_SCENE, str(error)
@@ -66,17 +66,17 @@ def check_traffic(base: Any) -> None:
     if on_network(base):
         check_network(base)
     elif isinstance(base.action_type, ContinuousAction):
-        check_moves(base)
+        check_own_methods(base)
     else:
         scenario_of_live(base, observes=False)
 
 
 def simulate_network(base: Any, like: Any, **options: Any) -> NetworkSimulator:
-    """Simulator of a road network, for `ExactScene`; options as of `NetworkSimulator`."""
+    """Simulator of a road network, for `PredictedScene`; options as of `NetworkSimulator`."""
     return NetworkSimulator(base, like=like, **options)
 
 
-class ExactScene:
+class PredictedScene:
     """The traffic of one environment in a simulator's arrays, with search buffers.
 
     Parameters
@@ -156,15 +156,15 @@ class ExactScene:
             room = self._load()
         except (SceneError, ConfigError):
             if counting and self._base.road is not None:
-                self._count(self._blocking(self._newcomers()), Breach.APPEARED)
+                self._count(self._blocking(self._newcomers()), NetworkRule.APPEARED)
             raise
         worlds = room[0].worlds
         self._sizes = worlds.p[0][_SIZE]
         others = self._compare(np.concatenate([worlds.f[0][STATE], self._sizes]))
         newcomers = self._newcomers()
         if counting:
-            self._count(others, Breach.UNFORESEEN)
-            self._count(self._blocking(newcomers), Breach.APPEARED)
+            self._count(others, NetworkRule.UNFORESEEN)
+            self._count(self._blocking(newcomers), NetworkRule.APPEARED)
         self.surprised = self.surprised or bool(newcomers)
         return room
 
@@ -190,11 +190,11 @@ class ExactScene:
             states = np.concatenate([worlds.f[0][STATE], worlds.p[0][_SIZE]])
         else:
             states = _states(self.bodies())
-        self._count(self._compare(states), Breach.UNFORESEEN)
-        self._count(self._blocking(self._newcomers()), Breach.APPEARED)
+        self._count(self._compare(states), NetworkRule.UNFORESEEN)
+        self._count(self._blocking(self._newcomers()), NetworkRule.APPEARED)
         self.surprised = surprised
 
-    def _count(self, others: set[Any], rule: Breach) -> None:
+    def _count(self, others: set[Any], rule: NetworkRule) -> None:
         """Count each body at most once for each prediction."""
         new = others - self._counted
         if new:
@@ -208,7 +208,7 @@ class ExactScene:
         known = [(body, self._foretold_of[body]) for body in self.bodies() if body in self._foretold_of]
         foretold = self._foretold[:2, [column for _, column in known]]
         far = np.hypot(*(np.array([body.position for body, _ in known]).T.reshape(2, -1) - foretold)) > _ELSEWHERE
-        return unannounced(self._base, {body for (body, _), moved in zip(known, far, strict=True) if not moved})
+        return unpredicted(self._base, {body for (body, _), moved in zip(known, far, strict=True) if not moved})
 
     def _blocking(self, newcomers: set[Any]) -> set[Any]:
         """Newcomers that leave the egos without a verified sequence, or have crashed with one."""
@@ -236,7 +236,7 @@ class ExactScene:
             return {k: k for k in range(base.simulator.worlds.f.shape[2])}
         return {body: k for k, body in enumerate([*base.road.vehicles, *base.road.objects])}
 
-    def shown(self, search: Search, actions: IntArray, length: int) -> tuple[FloatArray, FloatArray]:
+    def shown(self, search: TrafficSearch, actions: IntArray, length: int) -> tuple[FloatArray, FloatArray]:
         """Predicted motion if the ego executes the first `length` actions from future 0 on.
 
         Returns
@@ -245,7 +245,7 @@ class ExactScene:
         bodies, x_min, x_max, y_min, y_max [m], (frames + 1, others, 4).
         """
         rows = np.zeros((length * search.rules.numbers[0] + 1, search.futures.f.shape[2], 7))
-        rows = rows[: foretell(search, actions, length, rows)]
+        rows = rows[: simulate_sequence(search, actions, length, rows)]
         ego = self.ego(self._foretold_of)
         others = np.delete(rows, ego, axis=1)
         cos, sin = np.abs(np.cos(others[..., 2])), np.abs(np.sin(others[..., 2]))
@@ -255,17 +255,18 @@ class ExactScene:
 
     def kept(
         self,
-        search: Search,
+        search: TrafficSearch,
         worlds: Any,
         proposal: Any,
         planned: IntArray,
         length: int,
         team: tuple[Any, ...] | None = None,
-    ) -> Simulated:
-        """Data for an explanation of a refusal; parameters as of `Simulated`. `planned` has `length` actions."""
+    ) -> SimulatedDecisionData:
+        """Data for an explanation of a refusal; parameters as of `SimulatedDecisionData`. `planned` has `length`
+        actions."""
         base, labels = self._base, action_labels(self._base)
         lanes: list[Any] = [] if search.bounds.straight else list(index_of(base.road.network))
-        return Simulated(
+        return SimulatedDecisionData(
             search=search,
             worlds=worlds,
             who=list(self.bodies()),
@@ -323,10 +324,10 @@ def _states(bodies: Iterable[Any]) -> FloatArray:
     return np.array(rows, float).T
 
 
-class Foretells:
+class PredictingFilter:
     """A filter that predicts the next scene, and counts mismatches as violations."""
 
-    _scene: ExactScene
+    _scene: PredictedScene
     config: ShieldConfig
 
     def record(self) -> None:
@@ -344,5 +345,5 @@ class Foretells:
 
     @property
     def by_rule(self) -> dict[str, int]:
-        """The same by rule; see `ExactScene`."""
+        """The same by rule; see `PredictedScene`."""
         return dict(self._scene.by_rule)

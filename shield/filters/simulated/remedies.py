@@ -10,15 +10,15 @@ from highway_env.envs.common.action import ContinuousAction
 
 from shield.certificate.network.others import default_on, has_crossings
 from shield.config import ShieldConfig
-from shield.filters.network import RoadDoor
-from shield.filters.simulated.inputs import ExactInputDoor
-from shield.filters.simulated.meta_actions import ExactDoor
-from shield.filters.simulated.multi_agent import TeamDoor, is_team
+from shield.filters.network import NetworkFilter
+from shield.filters.simulated.inputs import SimulatedInputFilter
+from shield.filters.simulated.meta_actions import SimulatedMetaActionFilter
+from shield.filters.simulated.multi_agent import MultiAgentFilter, is_multi_agent
 
-__all__ = ["by_default", "by_simulation", "team_by_simulation"]
+__all__ = ["default_advice", "multi_agent_advice", "simulation_advice"]
 
 
-def by_simulation(base: Any) -> str:
+def simulation_advice(base: Any) -> str:
     """Advice to have the actions of one ego filtered by `ShieldConfig.simulated_traffic()`; "" where that refuses them
     too.
 
@@ -26,7 +26,7 @@ def by_simulation(base: Any) -> str:
     ----------
     base : highway-env's environment, unwrapped. The check leaves it unchanged.
     """
-    filters = ExactInputDoor if isinstance(base.action_type, ContinuousAction) else ExactDoor
+    filters = SimulatedInputFilter if isinstance(base.action_type, ContinuousAction) else SimulatedMetaActionFilter
     if not _accepted(filters, base, ShieldConfig.simulated_traffic()):
         return ""
     return (
@@ -37,25 +37,25 @@ def by_simulation(base: Any) -> str:
     )
 
 
-def team_by_simulation(base: Any) -> str:
+def multi_agent_advice(base: Any) -> str:
     """Advice to have the meta-actions of several egos filtered; "" where they are refused.
 
     Parameters
     ----------
     base : highway-env's environment, unwrapped, with `MultiAgentAction`. The check leaves it unchanged.
     """
-    accepted = is_team(base) and _accepted(TeamDoor, base, ShieldConfig.simulated_traffic())
+    accepted = is_multi_agent(base) and _accepted(MultiAgentFilter, base, ShieldConfig.simulated_traffic())
     return "ShieldedEnv(env, ShieldConfig.simulated_traffic()) filters those of several" if accepted else ""
 
 
-def by_default(base: Any) -> str:
+def default_advice(base: Any) -> str:
     """Advice that the default settings filter meta-actions on a road network; "" where they do not.
 
     Parameters
     ----------
     base : highway-env's environment, unwrapped, with `DiscreteMetaAction`. The check leaves it unchanged.
     """
-    if not has_crossings(base) or not _accepted(RoadDoor, base, default_on(base)):
+    if not has_crossings(base) or not _accepted(NetworkFilter, base, default_on(base)):
         return ""
     return (
         "by default ShieldedEnv(env) and Shield(policy, env=env) filter meta-actions here: without a rule or a mode, "

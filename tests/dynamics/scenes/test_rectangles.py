@@ -7,7 +7,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from dynamics.scenes.parking_lot import Lot
+from dynamics.scenes.parking_lot import ParkingScene
 from dynamics.scenes.rectangles import gaps
 
 SIZE = st.floats(0.5, 6)
@@ -89,5 +89,5 @@ def test_a_batch_is_its_rows(egos, boxes):
 
 
 def test_the_walls_of_the_simulator_are_where_it_says():
-    lot = Lot(np.array([0.0, 0, 0, 0, 5, 2]), np.array([[35.0, 0, np.pi / 2, 0, 42, 1]]), DT)
+    lot = ParkingScene(np.array([0.0, 0, 0, 0, 5, 2]), np.array([[35.0, 0, np.pi / 2, 0, 42, 1]]), DT)
     assert gaps(lot.ego[:4], (5.0, 2.0), lot.boxes, DT)[0] == pytest.approx([32.0])

@@ -11,7 +11,7 @@ from dynamics.highway_simulator.kinds import constants_of
 from dynamics.highway_simulator.layout import COMFORT, DISTANCE, GAIN, TIME, TWICE_ROOT
 from dynamics.scenes.scene import SceneReader
 from dynamics.traffic import mobil
-from dynamics.traffic.occupancy import in_order
+from dynamics.traffic.occupancy import order_by_position
 
 SIGHT = 3.0
 
@@ -20,7 +20,7 @@ def gains(states, *args, ego=None):
     """Vehicles with an incentive to change to either side, (m, 2) bool."""
     out = np.empty((len(states), 2), dtype=bool)
     nobody = np.array([-np.inf, 0.0, 0.0, 0.0]) if ego is None else ego
-    mobil.gains(states, states[:, 3] * np.sin(states[:, 2]), *args, nobody, np.ones_like(out), out)
+    mobil.lane_change_incentives(states, states[:, 3] * np.sin(states[:, 2]), *args, nobody, np.ones_like(out), out)
     return out
 
 
@@ -155,7 +155,7 @@ def test_incentives_are_those_of_the_formulas_vehicle_by_vehicle(seed, m, slack)
 def test_the_first_along_the_road_come_first(places):
     states, order = np.zeros((len(places), 4)), np.empty(len(places), np.intp)
     states[:, 0] = places
-    in_order(states, order)
+    order_by_position(states, order)
     assert order.tolist() == sorted(
         range(len(places)), key=lambda i: (np.isnan(places[i]), -np.nan_to_num(places[i]), i)
     )

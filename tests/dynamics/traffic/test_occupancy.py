@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from dynamics.errors import ConfigError
 from dynamics.roads.straight import StraightRoad
 from dynamics.traffic.assumptions import Assumptions
-from dynamics.traffic.occupancy import Surroundings, constant_velocity
+from dynamics.traffic.occupancy import OtherVehicles, constant_velocity
 
 LIMITS = settings(deadline=None, max_examples=150, derandomize=True)
 ROAD = StraightRoad.from_lanes(4)
@@ -34,7 +34,7 @@ def test_the_lateral_bound_of_a_vehicle_follows_from_the_lanes_that_it_touches()
             [0, 12.5, 0.1, 25.0],  # there is no lane 4
         ]
     )
-    around = Surroundings(rows_of(states), states, ROAD, Assumptions.idm(), 0.2)
+    around = OtherVehicles(rows_of(states), states, ROAD, Assumptions.idm(), 0.2)
     assert list(around.lane) == [1, 1, 1, 1, 1, 3]
     assert list(around.bodies.first) == [1, 1, 1, 1, 1, 3]
     assert list(around.bodies.last) == [1, 1, 2, 2, 2, 3]
@@ -47,7 +47,7 @@ def test_the_lateral_bound_of_a_vehicle_follows_from_the_lanes_that_it_touches()
 @given(st.floats(0, 45), rates)
 def test_a_wreck_is_contained(speed, dt):
     state = np.array([100.0, 4.0, 0.0, speed])
-    occ = Surroundings(rows_of(state, crashed=1.0), state[None], ROAD, Assumptions.idm(), dt).occupancy(FRAMES)
+    occ = OtherVehicles(rows_of(state, crashed=1.0), state[None], ROAD, Assumptions.idm(), dt).occupancy(FRAMES)
     s, v = 100.0, speed
     for k in range(FRAMES):
         s += v * dt
@@ -58,27 +58,27 @@ def test_a_wreck_is_contained(speed, dt):
 
 def test_a_standing_vehicle_may_start_and_reverses_only_from_a_near_standing_one():
     state = np.array([[50.0, 4.0, 0.0, 0.0]])
-    occ = Surroundings(rows_of(state), state, ROAD, Assumptions.idm(), 0.2).occupancy(FRAMES)
+    occ = OtherVehicles(rows_of(state), state, ROAD, Assumptions.idm(), 0.2).occupancy(FRAMES)
     np.testing.assert_array_equal(occ.rear[0], occ.rear[0, 0])
     assert (np.diff(occ.front[0]) > 0).all()
     for ahead, speed, back in ((6.0, 0.0, 8.0), (20.0, 0.0, 0.0), (6.0, 20.0, 0.0)):
         two = np.vstack([state, state + np.array([ahead, 0, 0, speed])])
-        rear = Surroundings(rows_of(two), two, ROAD, Assumptions.idm(), 0.2).occupancy(FRAMES).rear[0]
+        rear = OtherVehicles(rows_of(two), two, ROAD, Assumptions.idm(), 0.2).occupancy(FRAMES).rear[0]
         assert 50.0 - 0.5 * np.hypot(5, 2) - rear[-1] == pytest.approx(back)
 
 
 def test_worse_assumptions_give_larger_occupancy():
     state = np.array([[50.0, 4.0, 0.0, 25.0]])
-    idm = Surroundings(rows_of(state), state, ROAD, Assumptions.idm(), 0.2).occupancy(FRAMES)
-    rss = Surroundings(rows_of(state), state, ROAD, Assumptions.rss(), 0.2).occupancy(FRAMES)
+    idm = OtherVehicles(rows_of(state), state, ROAD, Assumptions.idm(), 0.2).occupancy(FRAMES)
+    rss = OtherVehicles(rows_of(state), state, ROAD, Assumptions.rss(), 0.2).occupancy(FRAMES)
     assert (rss.rear <= idm.rear).all()
     assert (rss.front >= idm.front).all()
 
 
 def test_holding_back_the_worst_case_gives_a_smaller_occupancy():
     state = np.array([[50.0, 4.0, 0.0, 25.0]])
-    bound = Surroundings(rows_of(state), state, ROAD, Assumptions.idm(), 0.2).occupancy(FRAMES)
-    forecast = Surroundings(rows_of(state), state, ROAD, Assumptions.idm(), 0.2).occupancy(FRAMES, hold=10)
+    bound = OtherVehicles(rows_of(state), state, ROAD, Assumptions.idm(), 0.2).occupancy(FRAMES)
+    forecast = OtherVehicles(rows_of(state), state, ROAD, Assumptions.idm(), 0.2).occupancy(FRAMES, hold=10)
     assert (forecast.rear >= bound.rear).all()
     assert (forecast.front <= bound.front).all()
     np.testing.assert_allclose(np.diff(forecast.rear[0, :10]), 5.0 * np.cos(0.0), atol=1e-2)
@@ -86,7 +86,7 @@ def test_holding_back_the_worst_case_gives_a_smaller_occupancy():
 
 def test_rectangles_are_ordered_frame_by_frame():
     states = np.array([[50.0, 4.0, 0.0, 25.0], [80.0, 8.0, 0.1, 20.0]])
-    rectangles = Surroundings(rows_of(states), states, ROAD, Assumptions.idm(), 0.2).occupancy(7).rectangles()
+    rectangles = OtherVehicles(rows_of(states), states, ROAD, Assumptions.idm(), 0.2).occupancy(7).rectangles()
     assert rectangles.shape == (7, 2, 4)
     assert (rectangles[..., 0] < rectangles[..., 1]).all()
     assert (rectangles[..., 2] < rectangles[..., 3]).all()

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from dynamics.roads.straight import StraightRoad
 from dynamics.scenes.scene import SceneReader
 from dynamics.traffic.assumptions import Assumptions
-from dynamics.traffic.occupancy import Surroundings
+from dynamics.traffic.occupancy import OtherVehicles
 
 DT = 0.1
 IDM = Assumptions.idm()
@@ -26,7 +26,7 @@ def brakes(*vehicles: tuple[float, ...], assumptions: Assumptions = IDM, ego: fl
     """Permitted braking of vehicles at (s, r, speed), and perhaps crashed, in the coming frames, (m, K)."""
     rows = np.array([[s, r, 0.0, v, 5.0, 2.0, *(crashed or [0.0])] for s, r, v, *crashed in vehicles])
     road = StraightRoad.from_lanes(3)
-    return Surroundings(rows, rows[:, :4], road, assumptions, DT, None, ego).bodies.brakes
+    return OtherVehicles(rows, rows[:, :4], road, assumptions, DT, None, ego).bodies.brakes
 
 
 def test_no_vehicle_brakes_hard_on_a_free_road() -> None:
@@ -96,7 +96,7 @@ def test_highway_envs_own_traffic_brakes_no_harder_than_permitted(rate: int) -> 
         ego.position = ego.position - np.array([500.0, 0.0])
         for _ in range(10 * rate):
             scene = reader.read()
-            new = Surroundings(scene.others, scene.others_road, scene.road, IDM, scene.dt, old)
+            new = OtherVehicles(scene.others, scene.others_road, scene.road, IDM, scene.dt, old)
             if old is not None:
                 slowed = (old.states[:, 3] - new.states[:, 3]) / scene.dt
                 frames, hard = frames + len(slowed), hard + int((slowed > IDM.calm_braking).sum())
@@ -146,7 +146,7 @@ def asked_of_everybody(rows: np.ndarray, ego: float) -> np.ndarray:
     slow = [course(max(v[i], 0), lambda u, k, i=i: least(i, u, a.braking)) for i in range(m)]
     lowest = [course(max(v[i], 0), lambda u, k: max(u - a.braking * DT, 0.0)) for i in range(m)]
     out = np.full((m, frames), a.braking)
-    around = Surroundings(rows, rows[:, :4], StraightRoad.from_lanes(3), a, DT, None, ego).bodies
+    around = OtherVehicles(rows, rows[:, :4], StraightRoad.from_lanes(3), a, DT, None, ego).bodies
     for i in np.argsort(-s, kind="stable"):
         if ego > s[i] or wrecked[i]:
             continue
@@ -184,5 +184,5 @@ def test_vehicles_skipped_by_the_search_do_not_change_the_bound(seed: int, m: in
     rows[:, 0], rows[:, 1] = rng.uniform(0, rng.choice([40.0, 120.0, 400.0]), m), 4.0 * rng.integers(0, 3, m)
     rows[:, 3], rows[:, 4:6], rows[:, 6] = rng.uniform(-3, 40, m), (5.0, 2.0), rng.random(m) < 0.1
     ego = float(rng.uniform(-20, 100))
-    got = Surroundings(rows, rows[:, :4], StraightRoad.from_lanes(3), IDM, DT, None, ego).bodies.brakes
+    got = OtherVehicles(rows, rows[:, :4], StraightRoad.from_lanes(3), IDM, DT, None, ego).bodies.brakes
     np.testing.assert_allclose(got, asked_of_everybody(rows, ego), rtol=0, atol=1e-9)

@@ -19,13 +19,13 @@ from dynamics.roads.path_reader import read_network
 from dynamics.roads.straight import StraightRoad
 from dynamics.scenes.scene import Scene, SceneReader
 from dynamics.traffic.assumptions import Assumptions
-from dynamics.traffic.occupancy import Surroundings
-from dynamics.traffic.rules_of_the_road import Ego, Rule, footprint, gap_between, permits
+from dynamics.traffic.occupancy import OtherVehicles
+from dynamics.traffic.rules_of_the_road import EgoFootprint, RoadRule, footprint, gap_between, rule_violations
 
 LIMITS = settings(deadline=None, max_examples=60)
 FRAMES, HORIZON = 60, 40
 ROAD = StraightRoad.from_lanes(3)
-FAR = Ego(1e6, 0.0, 0.0, 20.0, 4.5, 1.3, 2.5, 1.0, False)
+FAR = EgoFootprint(1e6, 0.0, 0.0, 20.0, 4.5, 1.3, 2.5, 1.0, False)
 RATES = (1 / 5, 1 / 15, 1 / 30)
 
 
@@ -40,8 +40,8 @@ def rows_of(vehicles: list[Simulated]) -> np.ndarray:
     return np.array([[*v.position, v.heading, v.speed, v.LENGTH, v.WIDTH, v.crashed] for v in vehicles], dtype=float)
 
 
-def around(rows: np.ndarray, dt: float, before: Surroundings | None = None) -> Surroundings:
-    return Surroundings(rows, rows[:, :4], ROAD, Assumptions.idm(), dt, before)
+def around(rows: np.ndarray, dt: float, before: OtherVehicles | None = None) -> OtherVehicles:
+    return OtherVehicles(rows, rows[:, :4], ROAD, Assumptions.idm(), dt, before)
 
 
 def random_vehicles(rng: np.random.Generator, count: int) -> list[Simulated]:
@@ -86,7 +86,7 @@ def test_a_permitted_motion_stays_inside_the_bound_and_does_not_extend_it(seed: 
             vehicle.step(dt)
         rows = rows_of(vehicles)
         new = around(rows, dt, old)
-        broken, grown = permits(old, new, dt, nobody, FAR)
+        broken, grown = rule_violations(old, new, dt, nobody, FAR)
         could, can = old.rear(HORIZON + 1), new.rear(HORIZON)
         front, later = old.front(HORIZON + 1), new.front(HORIZON)
         for i in np.flatnonzero((broken == 0) & (grown == 0)):
@@ -110,9 +110,9 @@ def test_turning_on_a_bend_stays_inside_the_bound(seed: int, dt: float, lag: flo
     road, rng = racetrack(), np.random.default_rng(seed)
     state = np.array([[rng.uniform(0, road.length), rng.choice(road.centers), 0.0, rng.uniform(3, 15)]])
 
-    def seen(before: Surroundings | None) -> Surroundings:
+    def seen(before: OtherVehicles | None) -> OtherVehicles:
         rows = np.concatenate([road.to_world(state), [[5.0, 2.0, 0.0]]], axis=1)
-        return Surroundings(rows, state.copy(), road, Assumptions.idm(), dt, before)
+        return OtherVehicles(rows, state.copy(), road, Assumptions.idm(), dt, before)
 
     old = seen(None)
     for _ in range(FRAMES):
@@ -120,7 +120,7 @@ def test_turning_on_a_bend_stays_inside_the_bound(seed: int, dt: float, lag: flo
         state[0, 0] += v * dt / (1 - float(road.curvature(s)) * r) * (1 - lag * rng.random())
         state[0, 3] = min(max(v + rng.uniform(-6, 6) * dt, 0.0), 20.0)
         new = seen(old)
-        found = permits(old, new, dt, np.zeros(1, dtype=bool), FAR)
+        found = rule_violations(old, new, dt, np.zeros(1, dtype=bool), FAR)
         if found.broken[0] == 0 and found.grown[0] == 0:
             assert (new.rear(HORIZON) >= old.rear(HORIZON + 1)[:, 1:] - 1e-6).all()
         old = new
@@ -162,10 +162,10 @@ def test_highway_envs_own_traffic_keeps_to_the_rules(kind: type, rate: int, dens
     """But for rules 3 and 4, of which the ego's fail-safe decides, and for crashes among themselves."""
     old, found = None, []
     for scene in drive_traffic(np.random.default_rng(rate), kind, rate, dense):
-        new = Surroundings(scene.others, scene.others_road, scene.road, Assumptions.idm(), scene.dt, old)
+        new = OtherVehicles(scene.others, scene.others_road, scene.road, Assumptions.idm(), scene.dt, old)
         if old is not None:
-            broken, _ = permits(old, new, scene.dt, np.zeros(len(scene.others), dtype=bool), FAR)
-            found += [*(broken & ~int(Rule.CRASH))]
+            broken, _ = rule_violations(old, new, scene.dt, np.zeros(len(scene.others), dtype=bool), FAR)
+            found += [*(broken & ~int(RoadRule.CRASH))]
         if (scene.others[:, 6] > 0).any():
             break  # an impact moves vehicles as no vehicle moves
         old = new
@@ -177,7 +177,7 @@ def two(first: tuple[float, ...], second: tuple[float, ...], dt: float = 0.1) ->
     """The result for one vehicle, (s, r, heading, speed) before and after."""
     rows = [np.array([[*x, 5.0, 2.0, 0.0]]) for x in (first, second)]
     old = around(rows[0], dt)
-    found = permits(old, around(rows[1], dt, old), dt, np.zeros(1, dtype=bool), FAR)
+    found = rule_violations(old, around(rows[1], dt, old), dt, np.zeros(1, dtype=bool), FAR)
     return int(found.broken[0]), int(found.grown[0])
 
 
@@ -185,29 +185,29 @@ def two(first: tuple[float, ...], second: tuple[float, ...], dt: float = 0.1) ->
     ("before", "after", "broken", "grown"),
     [
         ((0, 4, 0, 20), (2, 4, 0, 19.7), 0, 0),
-        ((0, 4, 0, 20), (2, 4, 0, 19.6), 0, Rule.BRAKING),  # for nothing
-        ((0, 4, 0, 20), (2, 4, 0, 19.4), 0, Rule.BRAKING),
-        ((0, 4, 0, 20), (2, 4, 0, 19.3), Rule.SPEED, None),
-        ((0, 4, 0, 20), (2, 4, 0, 20.7), Rule.SPEED, None),
-        ((0, 4, 0, -5.8), (-0.58, 4, 0, -6.3), Rule.SPEED, None),
-        ((0, 4, 0, 20), (2.1, 4, 0, 20), Rule.WAY, None),
+        ((0, 4, 0, 20), (2, 4, 0, 19.6), 0, RoadRule.BRAKING),  # for nothing
+        ((0, 4, 0, 20), (2, 4, 0, 19.4), 0, RoadRule.BRAKING),
+        ((0, 4, 0, 20), (2, 4, 0, 19.3), RoadRule.SPEED, None),
+        ((0, 4, 0, 20), (2, 4, 0, 20.7), RoadRule.SPEED, None),
+        ((0, 4, 0, -5.8), (-0.58, 4, 0, -6.3), RoadRule.SPEED, None),
+        ((0, 4, 0, 20), (2.1, 4, 0, 20), RoadRule.WAY, None),
         ((0, 4, 0, 20), (1.53, 4, 0, 20), 0, None),  # the permitted loss by turning
-        ((0, 4, 0, 20), (1.52, 4, 0, 20), Rule.WAY, None),
+        ((0, 4, 0, 20), (1.52, 4, 0, 20), RoadRule.WAY, None),
         ((0, 4, 0, 12), (0.42, 4, 0, 12), 0, None),
-        ((0, 4, 0, 12), (0.4, 4, 0, 12), Rule.WAY, None),
-        ((0, 4, 0, 5), (-0.1, 4, 0, 5), Rule.WAY, None),
+        ((0, 4, 0, 12), (0.4, 4, 0, 12), RoadRule.WAY, None),
+        ((0, 4, 0, 5), (-0.1, 4, 0, 5), RoadRule.WAY, None),
         ((0, 4, 0, 2), (0, 4.2, 0, 2), 0, None),
-        ((0, 4, 0, 2), (0, 4.3, 0, 2), Rule.WAY, None),
+        ((0, 4, 0, 2), (0, 4.3, 0, 2), RoadRule.WAY, None),
         # In its lane it may waver, and lean over the marking by a hand's breadth.
         ((0, 4, 0, 20), (2, 4.2, 0, 20), 0, 0),
-        ((0, 4, 0, 20), (2, 4.3, 0, 20), 0, Rule.LANES),
+        ((0, 4, 0, 20), (2, 4.3, 0, 20), 0, RoadRule.LANES),
         ((0, 4.9, 0, 20), (2, 5.1, 0, 20), 0, 0),
-        ((0, 4.9, 0, 20), (2, 5.2, 0, 20), 0, Rule.LANES),
+        ((0, 4.9, 0, 20), (2, 5.2, 0, 20), 0, RoadRule.LANES),
         # In two lanes it may go on or back.
         ((0, 5.9, 0, 20), (2, 6.1, 0, 20), 0, 0),
         ((0, 6.1, 0, 20), (2, 5.9, 0, 20), 0, 0),
         # Nothing is ahead that it could reverse from.
-        ((0, 4, 0, 0), (0, 4, 0, -0.3), 0, Rule.REVERSING),
+        ((0, 4, 0, 0), (0, 4, 0, -0.3), 0, RoadRule.REVERSING),
     ],
 )
 def test_each_rule_has_its_threshold(before, after, broken, grown):
@@ -227,7 +227,7 @@ def test_the_permitted_loss_by_turning_is_used_up(speed: float, lost: float, fra
     while True:
         row = row + np.array([speed * dt - lost, 0, 0, 0, 0, 0, 0])
         new = around(row, dt, old)
-        if permits(old, new, dt, np.zeros(1, dtype=bool), FAR).broken[0]:
+        if rule_violations(old, new, dt, np.zeros(1, dtype=bool), FAR).broken[0]:
             break
         old, count = new, count + 1
     assert count == frames
@@ -240,7 +240,7 @@ def test_a_long_vehicle_may_lose_more_by_turning(length: float, frames: int) -> 
     while count < 100:
         row = row + np.array([1.905, 0, 0, 0, 0, 0, 0])
         new = around(row, dt, old)
-        if permits(old, new, dt, np.zeros(1, dtype=bool), FAR).broken[0]:
+        if rule_violations(old, new, dt, np.zeros(1, dtype=bool), FAR).broken[0]:
             break
         old, count = new, count + 1
     assert count == frames
@@ -248,33 +248,33 @@ def test_a_long_vehicle_may_lose_more_by_turning(length: float, frames: int) -> 
 
 def test_a_vehicle_behind_a_cut_in_may_brake_and_the_bound_grows() -> None:
     """The vehicle ahead cuts in nearer than MOBIL permits. At a larger distance the braking was predicted."""
-    for gap, grown in ((6.0, int(Rule.BRAKING)), (35.0, 0)):
+    for gap, grown in ((6.0, int(RoadRule.BRAKING)), (35.0, 0)):
         rows = np.array([[0.0, 4.0, 0.0, 20.0, 5.0, 2.0, 0.0], [gap, 0.9, 0.0, 20.0, 5.0, 2.0, 0.0]])
         old = around(rows, 0.1)
         later = rows + np.array([[2.0, 0, 0, 0, 0, 0, 0], [1.95, 0.45, 0, 0, 0, 0, 0]])
         new = around(later, 0.1, old)
         assert old.bodies.last[1] == 0
         assert new.bodies.last[1] == 1
-        assert permits(old, new, 0.1, np.zeros(2, dtype=bool), FAR).grown[0] == grown
+        assert rule_violations(old, new, 0.1, np.zeros(2, dtype=bool), FAR).grown[0] == grown
 
 
 def test_a_follower_with_an_obligation_stays_behind_the_buffer():
     row = np.array([0.0, 0.0, 0.0, 20.0, 5.0, 2.0, 0.0])
     old = around(row[None], 0.1)
     new = around(row[None] + np.array([2.0, 0, 0, 0, 0, 0, 0]), 0.1, old)
-    for gap, broken in ((0.01, 0), (-0.01, int(Rule.DISTANCE))):
+    for gap, broken in ((0.01, 0), (-0.01, int(RoadRule.DISTANCE))):
         ego = footprint(np.array([2.0 + 2.5 + 4.5 + gap, 0.0, 0.0, 20.0, 5.0, 2.0, 0.0]), 2.0, 0.3)
-        assert permits(old, new, 0.1, np.ones(1, dtype=bool), ego).broken[0] == broken
-        assert permits(old, new, 0.1, np.zeros(1, dtype=bool), ego).broken[0] == 0
+        assert rule_violations(old, new, 0.1, np.ones(1, dtype=bool), ego).broken[0] == broken
+        assert rule_violations(old, new, 0.1, np.zeros(1, dtype=bool), ego).broken[0] == 0
 
 
 def test_a_crash_breaks_a_rule_unless_the_ego_caused_it():
     row = np.array([0.0, 0.0, 0.0, 20.0, 5.0, 2.0, 0.0])
     old = around(row[None], 0.1)
     new = around(row[None] + np.array([2.0, 0, 0, 0, 0, 0, 1.0]), 0.1, old)
-    for crashed, x, broken in ((False, -2.5, int(Rule.CRASH)), (True, -2.5, 0), (True, -9.0, int(Rule.CRASH))):
+    for crashed, x, broken in ((False, -2.5, int(RoadRule.CRASH)), (True, -2.5, 0), (True, -9.0, int(RoadRule.CRASH))):
         ego = footprint(np.array([x, 0.0, 0.0, 20.0, 5.0, 2.0, 1.0]), 2.0, 0.3, crashed)
-        assert permits(old, new, 0.1, np.zeros(1, dtype=bool), ego).broken[0] == broken
+        assert rule_violations(old, new, 0.1, np.zeros(1, dtype=bool), ego).broken[0] == broken
 
 
 @LIMITS

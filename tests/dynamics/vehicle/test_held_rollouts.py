@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from dynamics.vehicle.bicycle import step
 from dynamics.vehicle.controllers import steering_control
-from dynamics.vehicle.held_rollouts import HeldRollouts
+from dynamics.vehicle.held_rollouts import BrakingRollouts
 
 states = st.tuples(st.floats(-2, 6), st.floats(-0.3, 0.3), st.floats(0, 35)).map(
     lambda x: np.array([10.0, x[0], x[1], x[2]])
@@ -21,7 +21,7 @@ states = st.tuples(st.floats(-2, 6), st.floats(-0.3, 0.3), st.floats(0, 35)).map
 def test_a_held_rollout_samples_the_braking_law_once_a_period(given_states, hold, braking, wheel):
     x0, dt, periods = np.array(given_states), 0.1, 7
     stops = np.array([[4.0 * (i % 2), braking, wheel] for i in range(len(x0))])
-    got = HeldRollouts(dt, hold).run(x0, stops, periods)
+    got = BrakingRollouts(dt, hold).run(x0, stops, periods)
     assert got.shape == (len(x0), periods * hold, 4)
     x = x0
     for k in range(periods * hold):
@@ -34,5 +34,5 @@ def test_a_held_rollout_samples_the_braking_law_once_a_period(given_states, hold
 
 
 def test_enough_periods_bring_the_ego_to_rest():
-    out = HeldRollouts(0.05, 2).run(np.array([[0.0, 0.0, 0.0, 30.0]]), np.array([[0.0, 5.0, 0.7]]), 62)
+    out = BrakingRollouts(0.05, 2).run(np.array([[0.0, 0.0, 0.0, 30.0]]), np.array([[0.0, 5.0, 0.7]]), 62)
     assert abs(out[0, -1, 3]) < 1e-9

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from evaluation import policies
 from evaluation.commands.cli import app, main
 from evaluation.commands.road_demo import check_road
-from evaluation.commands.shared_options import ask_settings, split
+from evaluation.commands.shared_options import read_settings, split
 from evaluation.report.gallery import ROADS
 from evaluation.settings import setting_of
 from shield.config import ShieldConfig
@@ -136,7 +136,7 @@ def test_a_road_without_throttle_and_steering_is_answered_with_a_replacement(tmp
 def test_an_unknown_configuration_key_is_warned_of(tmp_path, capsys):
     config = tmp_path / "env.toml"
     config.write_text("vehicles_counts = 3\nduration = 2\nnonsense = 1\n", encoding="utf-8")
-    (setting,) = ask_settings(None, "highway-fast-v0", config)
+    (setting,) = read_settings(None, "highway-fast-v0", config)
     told = capsys.readouterr().err
     assert setting.config["duration"] == 2
     assert "no 'vehicles_counts' in its configuration, and ignores it; perhaps 'vehicles_count' is meant" in told

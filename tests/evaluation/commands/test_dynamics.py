@@ -19,12 +19,12 @@ from dynamics.learned.training.fit import FitConfig
 from dynamics.learned.training.fit import fit as original
 from dynamics.learned.training.on_policy_rounds import RoundsConfig
 from dynamics.learned.training.open_loop import OpenLoop
-from dynamics.learned.training.variants import VARIANTS, Variant, variant
+from dynamics.learned.training.variants import VARIANTS, LearningVariant, variant
 from evaluation.commands.cli import app
-from evaluation.measuring.dynamics_study import HORIZON, Trial, errors, study
+from evaluation.measuring.dynamics_study import HORIZON, ModelTest, errors, study
 from evaluation.report.error_curves import plot_errors
 
-TINY = Variant(
+TINY = LearningVariant(
     "small",
     ModelConfig(members=1, hidden=(16, 16)),
     FitConfig(epochs=60, finish_epochs=0, batch=64),
@@ -145,9 +145,9 @@ def test_a_stopped_evaluation_is_continued(monkeypatch, tmp_path):
     assert "no table of this command" in str(shield("evaluate", "--output", table).exception)
 
 
-def _trial(name: str, seed: int, scale: float) -> Trial:
+def _trial(name: str, seed: int, scale: float) -> ModelTest:
     error = scale * np.outer(np.ones(5), np.arange(1, HORIZON + 1))
-    return Trial(name, seed, 100, 1.0, OpenLoop(error), OpenLoop(2 * error))
+    return ModelTest(name, seed, 100, 1.0, OpenLoop(error), OpenLoop(2 * error))
 
 
 def test_the_table_has_the_errors_after_one_and_all_decisions():

@@ -11,9 +11,9 @@ from dynamics.scenes.registration import spec_of
 from evaluation.commands.cli import app
 from evaluation.falsification.finds import Find, replay
 from evaluation.report.video import _filmed
-from evaluation.running.certify import Asked, certify
+from evaluation.running.certify import CertifyRun, certify
 from evaluation.running.episodes import run_episode
-from evaluation.running.records import Variant
+from evaluation.running.records import ShieldVariant
 from evaluation.settings import Setting, setting_of
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
@@ -74,9 +74,9 @@ def test_the_command_drives_the_registered_environment(env_id, tmp_path):
 
 
 def test_certify_drives_the_registered_environment(tmp_path):
-    asked = Asked(setting_of("registered-stock-v0"), "faster", 2, 50, ShieldConfig())
+    asked = CertifyRun(setting_of("registered-stock-v0"), "faster", 2, 50, ShieldConfig())
     found = certify(asked, tmp_path)
-    record = run_episode(asked.setting, "faster", Variant("env"), 51, simulator="highway-env")
+    record = run_episode(asked.setting, "faster", ShieldVariant("env"), 51, simulator="highway-env")
     assert record.steps == CONFIG["duration"]
     assert tuple(found.loc[1, ["steps", "return", "min_gap"]]) == (record.steps, record.return_, record.min_gap)
 
@@ -96,7 +96,7 @@ def test_every_command_takes_an_environment_by_its_id(tmp_path):
     assert "perhaps 'vehicles_count' is meant" in told
     (tmp_path / "four.toml").write_text("duration = 4\n", encoding="utf-8")
     episodes = pd.read_parquet(tmp_path / "parts" / "episodes.parquet")
-    record = run_episode(setting_of("registered-stock-v0", tmp_path / "four.toml"), "faster", Variant("env"), 60)
+    record = run_episode(setting_of("registered-stock-v0", tmp_path / "four.toml"), "faster", ShieldVariant("env"), 60)
     assert record.steps == 4
     assert tuple(episodes.loc[0, ["steps", "return", "min_gap"]]) == (4, record.return_, record.min_gap)
     assert str(record.min_gap) in shield("replay", "60")

@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from evaluation.commands.cli import app
-from evaluation.commands.shared_options import ask_settings
+from evaluation.commands.shared_options import read_settings
 from evaluation.commands.unknown_keys import arguments_of, unknown_keys
 from evaluation.settings import Setting
 
@@ -102,7 +102,7 @@ def test_the_command_tells_nested_keys_and_drives(tmp_path, capsys):
     config = tmp_path / "env.toml"
     text = 'duration = 2\nvehicles_count = 3\n[observation]\ntype = "Kinematics"\nvehicle_count = 9\n'
     config.write_text(text, encoding="utf-8")
-    (setting,) = ask_settings(None, "highway-fast-v0", config)
+    (setting,) = read_settings(None, "highway-fast-v0", config)
     assert setting.config["duration"] == 2
     assert "perhaps 'vehicles_count' is meant" in capsys.readouterr().err
     arguments = [

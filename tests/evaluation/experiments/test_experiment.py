@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from evaluation import Experiment, Result, compare, evaluate, merge, run_paired
 from evaluation.commands.cli import app
-from evaluation.running.records import Variant
+from evaluation.running.records import ShieldVariant
 from shield.errors import ConfigError, PolicyError
 
 SHORT = {"duration": 3, "vehicles_count": 10}
@@ -36,7 +36,7 @@ def test_the_rows_are_those_of_paired_episodes():
     assert result.episodes["mode"].tolist() == ["none"] * 3 + ["full"] * 3
     from evaluation import setting_of
 
-    bare = run_paired(setting_of("short-highway-v0"), "faster", [Variant()], range(100_000, 100_003))
+    bare = run_paired(setting_of("short-highway-v0"), "faster", [ShieldVariant()], range(100_000, 100_003))
     same(result.episodes[:3], bare)
 
 

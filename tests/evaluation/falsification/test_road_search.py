@@ -14,10 +14,10 @@ from typer.testing import CliRunner
 
 from evaluation.commands.cli import app
 from evaluation.falsification.falsify import crash_probability, falsify
-from evaluation.falsification.fault_oracle import Referee
+from evaluation.falsification.fault_oracle import FaultOracle
 from evaluation.falsification.finds import ANY, Find
 from evaluation.falsification.finds import replay as drive_again
-from evaluation.falsification.network_adversaries import man
+from evaluation.falsification.network_adversaries import install_drivers
 from evaluation.falsification.road_episode import SCENES, RoadNumbers, Script, drive_numbers
 from evaluation.falsification.road_search import LEVEL, has_network, search_roads
 from evaluation.falsification.subset import subset_simulation
@@ -146,8 +146,8 @@ def drive_placed(config, ego, other, actions, obstacles=()):
     for lane, s in obstacles:
         road.objects.append(Obstacle(road, road.network.get_lane(lane).position(s, 0)))
     env.door.reset()
-    man(env, "bold", 1, 0, [(Script([0.99]), Script([0.0]))])
-    referee, tiers = Referee(base, env.door), []
+    install_drivers(env, "bold", 1, 0, [(Script([0.99]), Script([0.0]))])
+    referee, tiers = FaultOracle(base, env.door), []
     for action in actions:
         *_, terminated, truncated, _ = env.step(action)
         tiers.append(env.last_decision.tier)

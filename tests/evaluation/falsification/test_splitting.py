@@ -10,10 +10,10 @@ from typer.testing import CliRunner
 
 from evaluation.commands.cli import app
 from evaluation.falsification.sensor_noise_crashes import NoisyEpisodes, crash_probability_through
-from evaluation.falsification.splitting import Path, multilevel_splitting
+from evaluation.falsification.splitting import SplitPath, multilevel_splitting
 from evaluation.running.driver import DriverSpec
 from evaluation.running.episodes import run_episode
-from evaluation.running.records import Variant
+from evaluation.running.records import ShieldVariant
 from evaluation.settings import get_setting
 from shield import ConfigError, ShieldConfig
 
@@ -93,7 +93,7 @@ def test_the_last_paths_lead_where_they_say():
 
 
 def test_a_fork_keeps_the_noise_before_it():
-    path = Path(7).fork(5, 11).fork(9, 12)
+    path = SplitPath(7).fork(5, 11).fork(9, 12)
     assert path.fork(6, 13).forks == ((5, 11), (6, 13))
     before, after = normals([path, path.fork(6, 13)])
     assert np.array_equal(before[:6], after[:6])
@@ -118,19 +118,19 @@ def test_numbers_that_do_not_fit_are_refused(paths, share, drive):
 
 def test_noise_is_drawn_anew_from_a_decision_on():
     episodes = NoisyEpisodes(
-        DriverSpec(SEEN, "faster", Variant("env", ShieldConfig(), "observation"), sensor="metric-2")
+        DriverSpec(SEEN, "faster", ShieldVariant("env", ShieldConfig(), "observation"), sensor="metric-2")
     )
-    first, forked = episodes.drive(Path(4)), episodes.drive(Path(4, ((9, 1),)))
-    assert np.array_equal(first, episodes.drive(Path(4)))
+    first, forked = episodes.drive(SplitPath(4)), episodes.drive(SplitPath(4, ((9, 1),)))
+    assert np.array_equal(first, episodes.drive(SplitPath(4)))
     assert np.array_equal(first[:9], forked[:9])
     assert not np.array_equal(first, forked)
     episodes.close()
 
 
 def test_an_episode_is_that_of_the_evaluation():
-    variant = Variant("env", ShieldConfig(), "observation")
+    variant = ShieldVariant("env", ShieldConfig(), "observation")
     episodes = NoisyEpisodes(DriverSpec(SEEN, "faster", variant, sensor="metric-2"))
-    scores = episodes.drive(Path(4))
+    scores = episodes.drive(SplitPath(4))
     record = run_episode(SEEN, "faster", variant, seed=4, sensor="metric-2")
     assert len(scores) == record.steps + 1
     assert (scores.max() == 0) == record.crashed
@@ -138,8 +138,8 @@ def test_an_episode_is_that_of_the_evaluation():
 
 
 def test_the_rate_of_crashes_is_that_of_counting():
-    found = crash_probability_through(DriverSpec(SEEN, "faster", Variant(), sensor="metric-0.5"), paths=30)
-    counted = [run_episode(SEEN, "faster", Variant(), seed=k, sensor="metric-0.5").crashed for k in range(30)]
+    found = crash_probability_through(DriverSpec(SEEN, "faster", ShieldVariant(), sensor="metric-0.5"), paths=30)
+    counted = [run_episode(SEEN, "faster", ShieldVariant(), seed=k, sensor="metric-0.5").crashed for k in range(30)]
     # Most crash without a shield: no path has to be split for that.
     assert found.probability == pytest.approx(np.mean(counted))
     assert found.reached[0] == 0.0
@@ -147,7 +147,7 @@ def test_the_rate_of_crashes_is_that_of_counting():
 
 def test_an_exact_sensor_is_refused():
     with pytest.raises(ConfigError, match="noisy"):
-        NoisyEpisodes(DriverSpec(SEEN, "faster", Variant()))
+        NoisyEpisodes(DriverSpec(SEEN, "faster", ShieldVariant()))
 
 
 def test_the_command_prints_the_probability():
@@ -161,17 +161,17 @@ def test_the_command_prints_the_probability():
     "path",
     [
         # The largest margin among bounds was a swerve into a car beside the ego, or the way up to its leader.
-        Path(3116, ((1, 731301565), (16, 319935010))),
-        Path(3131, ((4, 1276625462), (12, 1892360940), (17, 793439595))),
+        SplitPath(3116, ((1, 731301565), (16, 319935010))),
+        SplitPath(3131, ((4, 1276625462), (12, 1892360940), (17, 793439595))),
         # With bounds narrowed, another lane looked freer than the ego's own.
-        Path(3165, ((6, 3525401518), (15, 3103392660))),
-        Path(3086, ((13, 1735297215), (26, 2771435021))),
+        SplitPath(3165, ((6, 3525401518), (15, 3103392660))),
+        SplitPath(3086, ((13, 1735297215), (26, 2771435021))),
     ],
     ids=lambda path: str(path.seed),
 )
 def test_crashes_that_splitting_has_found_are_avoided(path):
     episodes = NoisyEpisodes(
-        DriverSpec(SEEN, "faster", Variant("env", ShieldConfig(), "observation"), sensor="normalised-0.5")
+        DriverSpec(SEEN, "faster", ShieldVariant("env", ShieldConfig(), "observation"), sensor="normalised-0.5")
     )
     assert episodes.drive(path).max() < 0.0
     episodes.close()

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from dynamics.highway_simulator.simulator import Simulator
 from dynamics.traffic.assumptions import Assumptions
 from evaluation.commands.cli import app
-from evaluation.falsification.compliant_traffic import drive_bold
+from evaluation.falsification.compliant_traffic import drive_compliant
 from evaluation.falsification.falsify import crash_probability, falsify, falsify_among
 from evaluation.falsification.finds import ANY, Find, replay
 from evaluation.falsification.strata import Strata, stratified
@@ -240,12 +240,12 @@ def test_bold_drivers_find_a_loophole_and_it_is_replayed(tmp_path):
     found = Find.load(find)
     assert found.clearance < 0
     assert replay(found) == found
-    assert drive_bold(Setting("again", found.env_id, found.config), found.seed, ShieldConfig()).clearance >= 0
+    assert drive_compliant(Setting("again", found.env_id, found.config), found.seed, ShieldConfig()).clearance >= 0
 
 
 def test_bold_drivers_that_do_not_fit_are_refused():
     with pytest.raises(ConfigError, match="straight highway"):
-        drive_bold(FAST, 0, BARE)
+        drive_compliant(FAST, 0, BARE)
     with pytest.raises(ConfigError, match="at least 1 episode"):
         falsify_among(FAST, ShieldConfig(), episodes=0)
 

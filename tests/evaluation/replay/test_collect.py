@@ -14,7 +14,7 @@ from replayed import asked_for, records_of
 from evaluation.replay.collect import collect
 from evaluation.replay.html import page_path, to_html, write_page
 from evaluation.replay.record import STEP
-from evaluation.replay.what_if import copy_unwatched, follow
+from evaluation.replay.what_if import copy_without_recorder, follow
 from evaluation.running.driver import Driver, DriverSpec
 from shield.errors import ConfigError
 
@@ -108,7 +108,7 @@ def test_a_copy_that_is_followed_is_the_simulator_itself():
             kept.append((first, [frame[copies[-1].unwrapped.vehicle][:4] for frame in seen.frames[:6]]))
 
     kept = []
-    driver.run(5, after, lambda _: copies.append(copy_unwatched(driver.env.env)))
+    driver.run(5, after, lambda _: copies.append(copy_without_recorder(driver.env.env)))
     world = driver.recorder.world()
     for first, states in kept:
         assert np.array(states).tobytes() == world[first : first + len(states), 0, :4].tobytes()

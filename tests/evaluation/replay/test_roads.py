@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from replayed import asked_for
 
-from evaluation.replay.collect import Asked, collect
+from evaluation.replay.collect import ReplayRequest, collect
 from evaluation.replay.html import to_html
 from evaluation.replay.record import STEP
 from evaluation.running.records import config_on, variant_for
@@ -17,7 +17,7 @@ from shield.config import ShieldConfig
 def replayed(setting, policy, seed, config=None, **changes):
     """The replay of one episode."""
     where = get_setting(setting).override(changes) if changes else get_setting(setting)
-    return collect(Asked(where, policy, variant_for(config_on(where, config), where), seed))[0]
+    return collect(ReplayRequest(where, policy, variant_for(config_on(where, config), where), seed))[0]
 
 
 def outline_of(area):
@@ -75,7 +75,7 @@ def test_an_environment_of_the_users_is_replayed(tmp_path):
     """Throttle and steering on the highway, configured by a file."""
     (tmp_path / "mine.toml").write_text('duration = 4\nvehicles_count = 10\naction = { type = "ContinuousAction" }\n')
     where = setting_of("highway-v0", tmp_path / "mine.toml")
-    replay, record = collect(Asked(where, "throttle", variant_for(config_on(where), where), 3))
+    replay, record = collect(ReplayRequest(where, "throttle", variant_for(config_on(where), where), 3))
     assert replay.straight
     assert record.steps == len(replay.steps) == 4
     assert "highway-v0+mine" in to_html(replay)

@@ -7,10 +7,19 @@ from typer.testing import CliRunner
 
 from dynamics.state import RoadState
 from evaluation.commands.cli import app
-from evaluation.report.decision_scenes import CONFIG, Duty, bounds, duties, passing, searched, slip_in, tube
+from evaluation.report.decision_scenes import (
+    CONFIG,
+    Obligation,
+    bounds,
+    cut_in_scene,
+    input_search,
+    obligation_scene,
+    passing,
+    tube,
+)
 from shield.certificate.road.memory import Memory, observe
-from shield.certificate.road.verify import Surveyor
-from shield.pipelines.inputs import Inputs
+from shield.certificate.road.verify import PathVerifier
+from shield.pipelines.inputs import InputPipeline
 
 
 def test_the_command_writes_five_pictures(tmp_path):
@@ -26,7 +35,7 @@ def test_the_command_writes_five_pictures(tmp_path):
 def test_the_margin_of_the_tube_is_the_clearance_of_its_path():
     found = tube()
     lanes = np.array([1])
-    judged = Surveyor(found.scene, CONFIG).clearance(found.path[None], lanes, lanes)
+    judged = PathVerifier(found.scene, CONFIG).clearance(found.path[None], lanes, lanes)
     assert found.margin == pytest.approx(float(judged.margin[0]))
     assert found.margin == pytest.approx(float(found.gaps.min()))
     assert found.margin > 0
@@ -51,18 +60,18 @@ def test_the_bounds_are_those_of_the_assumptions():
 
 
 def test_only_vehicles_with_an_obligation_are_left_out_of_the_margin():
-    found = duties()
-    assert set(found.owes) == set(Duty)
-    owing = np.array([duty is Duty.DISTANCE for duty in found.owes])
+    found = obligation_scene()
+    assert set(found.owes) == set(Obligation)
+    owing = np.array([duty is Obligation.DISTANCE for duty in found.owes])
     assert np.isposinf(found.separations[owing]).all()
     assert found.margin == pytest.approx(found.separations[~owing].min())
     assert found.margin > 0
-    assert found.survey.others.comes[found.goal, found.owes.index(Duty.ENTERS)]
+    assert found.survey.others.comes[found.goal, found.owes.index(Obligation.ENTERS)]
 
 
 def test_the_drawn_separations_are_those_of_the_clause():
     """The precaution of cut-ins refuses a plan in the scene drawn; without it the stored plan still verifies."""
-    found = slip_in(0.5)
+    found = cut_in_scene(0.5)
     centred, off = found.separations[:, found.at]
     assert centred >= 0 > off
     now = observe(Memory(), passing(float(found.ahead[found.at]), found.offsets[1]), CONFIG)
@@ -77,8 +86,8 @@ def test_the_drawn_separations_are_those_of_the_clause():
 
 
 def test_the_drawn_answer_verifies_and_nothing_on_the_grid_is_much_nearer():
-    found = searched((61, 81))
-    inputs = Inputs(CONFIG, predictive=False)
+    found = input_search((61, 81))
+    inputs = InputPipeline(CONFIG, predictive=False)
     now, _ = inputs.observe(Memory(), found.scene)
     both = inputs.judge(now, np.array([found.proposal, found.decision.executed]), inputs.stop_lanes(now))
     assert both.margin[0] < 0 <= both.margin[1]

@@ -14,7 +14,7 @@ from evaluation.report.overlay import ShieldOverlay
 from evaluation.report.worst_case_view import draw_worst_cases
 from shield import Shield, ShieldConfig
 from shield.errors import ConfigError
-from shield.filters.network import RoadDoor
+from shield.filters.network import NetworkFilter
 
 
 @pytest.fixture(autouse=True)
@@ -109,7 +109,7 @@ def test_the_worst_case_shows_where_others_may_be_and_where_ways_meet(tmp_path, 
 def test_the_prediction_begins_at_the_present_places():
     env = gym.make("roundabout-v1")
     env.reset(seed=1)
-    door = RoadDoor(env.unwrapped, ShieldConfig.for_roads())
+    door = NetworkFilter(env.unwrapped, ShieldConfig.for_roads())
     door.decide(1)
     seen, ego = door.foreseen, env.unwrapped.vehicle
     assert np.hypot(*(seen.path[0, :2] - ego.position)) < 2.0

@@ -109,8 +109,8 @@ def test_the_texts_override_stops_lane_changes_near_a_vehicle():
     assert text.override_lane_changes(rows, np.array(0), 20.0)[0] == 4
     assert text.override_lane_changes(rows, np.array(3), 20.0)[0] == 3
     assert text.override_lane_changes(rows, np.array(0), 9.0)[0] == 0
-    assert text.somebody_near(rows, 11.0)
-    assert not text.somebody_near(rows, 9.0)
+    assert text.vehicle_near(rows, 11.0)
+    assert not text.vehicle_near(rows, 9.0)
 
 
 def test_confidence_over_time_and_intent_are_those_of_the_wrappers():
@@ -250,8 +250,8 @@ def test_the_environment_passes_gymnasiums_check():
 def test_nearness_on_the_roundabout_is_in_metres():
     """Its rows are absolute; 1 means 100 m and 15 m/s."""
     rows = scene([1, 0.5, -0.1, 0, 0.01], [1, 0.56, -0.02, 0, 0.03])  # 6 m and 8 m away, at 0.15 and 0.45 m/s
-    assert text.somebody_near(rows, 10.1, text.ROUNDABOUT)
-    assert not text.somebody_near(rows, 9.9, text.ROUNDABOUT)
+    assert text.vehicle_near(rows, 10.1, text.ROUNDABOUT)
+    assert not text.vehicle_near(rows, 9.9, text.ROUNDABOUT)
     assert text.override_lane_changes(rows, np.array(2), 10.1, text.ROUNDABOUT)[0] == 4
     assert text.override_lane_changes(rows, np.array(2), 9.9, text.ROUNDABOUT)[0] == 2
     assert text.intent_in_metres(rows, scale=text.ROUNDABOUT).tolist() == [0.0, 1.0]

@@ -12,7 +12,7 @@ from evaluation.commands.cli import app
 from evaluation.reproduction import running, shields, shields_table
 from evaluation.reproduction.driving import COLUMNS
 from evaluation.reproduction.presets import PRESETS, PUBLISHED, get_preset
-from evaluation.reproduction.running import FIRST_SEED, Reproduction, run, why_not
+from evaluation.reproduction.running import FIRST_SEED, Reproduction, run, unsupported_reason
 from evaluation.reproduction.table import summary, table
 from evaluation.reproduction.variants import VARIANTS, get_variants
 from evaluation.reproduction.verdict import judge
@@ -158,8 +158,8 @@ def test_a_model_that_drives_another_row_comes_with_it():
 
 def test_an_unavailable_variant_states_the_reason():
     """The planner's model has steps of one second; the decisions of the text take a tenth."""
-    assert "1 Hz" in why_not(PRESETS["as-written"], VARIANTS["cem"])
-    assert why_not(PRESETS["as-coded"], VARIANTS["trained-inside"]) == ""
+    assert "1 Hz" in unsupported_reason(PRESETS["as-written"], VARIANTS["cem"])
+    assert unsupported_reason(PRESETS["as-coded"], VARIANTS["trained-inside"]) == ""
 
 
 def test_the_roundabout_is_compiled_and_has_seeds_of_its_own(tmp_path):
@@ -184,7 +184,7 @@ def test_the_roundabout_is_compiled_and_has_seeds_of_its_own(tmp_path):
     ],
 )
 def test_a_variant_left_out_on_the_roundabout_states_the_reason(name, reason):
-    found = why_not(get_preset("as-coded", "roundabout"), VARIANTS[name])
+    found = unsupported_reason(get_preset("as-coded", "roundabout"), VARIANTS[name])
     assert (reason in found) if reason else not found
 
 

@@ -13,10 +13,10 @@ from evaluation.measuring.rectangles import separation
 from evaluation.measuring.tally import distance
 from evaluation.running import certify as certifying
 from evaluation.running.batch_episodes import UNMEASURED, Many
-from evaluation.running.certify import Asked, certify
+from evaluation.running.certify import CertifyRun, certify
 from evaluation.running.episodes import run_paired
-from evaluation.running.named_policies import RandomPolicy, make_policy
-from evaluation.running.records import Variant
+from evaluation.running.named_policies import RandomActions, make_policy
+from evaluation.running.records import ShieldVariant
 from evaluation.settings import Setting, get_setting
 from shield import ConfigError, ShieldConfig
 from shield.config import Buffer
@@ -45,7 +45,7 @@ DENSE = Setting("dense", "highway-fast-v0", {"vehicles_density": 2.5, "duration"
 def test_episodes_of_a_batch_are_those_of_single_runs(setting, policy, config, crashes):
     """Each measured column is equal, and each other column is NaN."""
     seeds = range(300, 312)
-    alone = run_paired(setting, policy, [Variant("env", config)], seeds, simulator="compiled")
+    alone = run_paired(setting, policy, [ShieldVariant("env", config)], seeds, simulator="compiled")
     alone = alone[list(certifying.COLUMNS)].assign(fallbacks=alone[certifying.FALLBACKS].sum(axis=1))
     together = Many(setting, policy, config, envs=6).run(seeds)
     pd.testing.assert_series_equal(alone.pop("mean_speed"), together.pop("mean_speed"), rtol=1e-12)
@@ -81,7 +81,7 @@ def test_crossed_rectangles_overlap():
 
 def test_random_actions_are_known_when_the_episode_begins():
     policy = make_policy("random", get_setting("highway-fast").make())
-    assert isinstance(policy, RandomPolicy)
+    assert isinstance(policy, RandomActions)
     policy.reset(11)
     assert policy.plan(11, 40).tolist() == [int(policy.predict(None)[0]) for _ in range(40)]
 
@@ -93,7 +93,7 @@ def test_a_policy_that_reads_the_simulator_is_refused_in_a_batch(policy):
 
 
 def test_certify_uses_the_batch_where_it_is_supported(tmp_path, monkeypatch):
-    asked = Asked(get_setting("highway-fast"), "faster", 6, 40, ShieldConfig(), "auto")
+    asked = CertifyRun(get_setting("highway-fast"), "faster", 6, 40, ShieldConfig(), "auto")
     driven = []
     monkeypatch.setattr(certifying, "run_paired", lambda *a, **k: driven.append(a) or pytest.fail("one at a time"))
     found = certify(asked, tmp_path / "fast")

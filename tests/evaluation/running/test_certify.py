@@ -16,11 +16,11 @@ from evaluation.measuring.metrics import summarise
 from evaluation.measuring.statistics import clopper_pearson
 from evaluation.policies import reference_file
 from evaluation.running import certify as certifying
-from evaluation.running.certify import Asked, certify, page
+from evaluation.running.certify import CertifyRun, certify, page
 from evaluation.running.decision_log import MEASURED
 from evaluation.running.episodes import run_episode, run_paired
 from evaluation.running.identity import file_hash
-from evaluation.running.records import Variant, config_on, variant_for
+from evaluation.running.records import ShieldVariant, config_on, variant_for
 from evaluation.running.store_rows import is_store, read_store
 from evaluation.settings import Setting, get_setting
 from shield.config import ShieldConfig
@@ -35,7 +35,7 @@ def _small_parts(monkeypatch):
 
 
 def asked(episodes=7, **changes):
-    return Asked(
+    return CertifyRun(
         **{"setting": SHORT, "policy": "faster", "episodes": episodes, "seed": 50, "config": ShieldConfig(), **changes}
     )
 
@@ -61,7 +61,7 @@ def test_a_stopped_run_is_continued_without_repeated_episodes(tmp_path):
 def test_an_episode_of_certify_is_that_of_highway_env(tmp_path):
     found = certify(asked(3), tmp_path)
     assert set(found["simulator"]) == {"compiled"}
-    record = run_episode(SHORT, "faster", Variant("env"), 51, simulator="highway-env")
+    record = run_episode(SHORT, "faster", ShieldVariant("env"), 51, simulator="highway-env")
     row = found.set_index("seed").loc[51]
     assert row["return"] == record.return_
     assert row["min_gap"] == record.min_gap
@@ -72,7 +72,7 @@ def test_the_summary_leaves_out_unmeasured_columns(tmp_path):
     """Once it read latencies and reasons, which rows of a batch do not have."""
     certify(asked(3, policy="random"), tmp_path)
     rows = Result.read(tmp_path).summary.iloc[0]
-    known = summarise(run_paired(SHORT, "random", [Variant("env")], range(50, 53))).iloc[0]
+    known = summarise(run_paired(SHORT, "random", [ShieldVariant("env")], range(50, 53))).iloc[0]
     unknown = {name for name in known.index if isinstance(known[name], float) and np.isnan(rows[name])}
     left_out = {"distance", "lane_changes", "laps", "mean_jerk", "mean_lateral_acceleration"}
     assert unknown >= {*left_out, "latency_p50_ms", "latency_p99_ms", "reason_unverified"}

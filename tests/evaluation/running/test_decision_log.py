@@ -14,7 +14,7 @@ from evaluation import settings as named
 from evaluation.running.decision_log import MEASURED, DecisionLog, action_steps
 from evaluation.running.driver import Driver, DriverSpec
 from evaluation.running.episodes import run_episode
-from evaluation.running.records import Variant
+from evaluation.running.records import ShieldVariant
 from evaluation.settings import Setting, get_setting
 from evaluation.wrappers import PerformanceLogger
 from shield import ShieldedEnv
@@ -63,10 +63,10 @@ def test_the_distance_of_inputs_is_in_their_units():
 def test_the_columns_are_the_metrics_of_the_performance_logger(simulator):
     """The same episode through `PerformanceLogger`; the compiled copy gives the columns of highway-env itself."""
     setting = Setting("short", "highway-fast-v0", {"duration": 12})
-    record = run_episode(setting, "random", Variant("env"), 100_003, simulator=simulator)
+    record = run_episode(setting, "random", ShieldVariant("env"), 100_003, simulator=simulator)
     env = PerformanceLogger(setting.make())
-    driver = Driver(DriverSpec(setting, "random", Variant("env"), simulator="highway-env"))
-    driver.env = ShieldedEnv(env, Variant("env").config, policy=driver.policy)
+    driver = Driver(DriverSpec(setting, "random", ShieldVariant("env"), simulator="highway-env"))
+    driver.env = ShieldedEnv(env, ShieldVariant("env").config, policy=driver.policy)
     assert driver.run(100_003).return_ == record.return_
     logged = env.episodes().iloc[0]
     assert record.mean_reward == pytest.approx(logged["mean_reward"], rel=1e-12)
@@ -79,12 +79,12 @@ def test_the_columns_are_the_metrics_of_the_performance_logger(simulator):
 
 
 def test_latencies_and_overrides_of_an_episode_are_those_of_its_decisions():
-    record = run_episode("highway-fast", "random", Variant("env"), 100_005)
+    record = run_episode("highway-fast", "random", ShieldVariant("env"), 100_005)
     assert record.latency_p50_ms == np.quantile(record.latencies, 0.5)
     assert record.latency_p99_ms == np.quantile(record.latencies, 0.99)
     assert record.latency_max_ms == max(record.latencies)
     assert 0 < record.frame_override_share == record.frames_overridden / record.frames
-    bare = run_episode("highway-fast", "random", Variant(), 100_005)
+    bare = run_episode("highway-fast", "random", ShieldVariant(), 100_005)
     assert math.isnan(bare.latency_p50_ms)
     assert bare.input_distance == bare.frame_override_share == 0.0
 
@@ -92,7 +92,7 @@ def test_latencies_and_overrides_of_an_episode_are_those_of_its_decisions():
 @pytest.mark.parametrize(("sensor", "there"), [("exact", False), ("normalised-0.5+confidence+intent", True)])
 def test_the_mean_confidence_is_that_of_the_rows_shown(sensor, there):
     """The mean of the column "confidence", whatever channel follows it; NaN without that column."""
-    driver = Driver(DriverSpec(get_setting("highway-fast"), "idle", Variant(), sensor=sensor))
+    driver = Driver(DriverSpec(get_setting("highway-fast"), "idle", ShieldVariant(), sensor=sensor))
     seen = []
     predict = driver.driver.predict
     driver.driver.predict = lambda obs, *a, **k: seen.append(obs) or predict(obs, *a, **k)
@@ -110,7 +110,7 @@ def test_every_road_has_the_columns():
     """A number in each column that its definition names for that road."""
     for name in ("roundabout", "parking", "racetrack"):
         assert name in named.SETTINGS
-        row = run_episode(name, "random", Variant(), 100_001).row()
+        row = run_episode(name, "random", ShieldVariant(), 100_001).row()
         assert set(MEASURED) <= row.keys()
         assert math.isfinite(row["mean_reward"])
         assert 0 <= row["on_lane_share"] <= 1

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from evaluation.running.episodes import RunOptions, run_episode, run_paired
-from evaluation.running.records import Variant, make_variants
+from evaluation.running.records import ShieldVariant, make_variants
 from evaluation.settings import get_setting
 from shield import ShieldConfig
 from shield.errors import ConfigError
@@ -39,7 +39,7 @@ def test_two_jobs_give_the_rows_of_a_single_job(episodes):
 
 
 def test_a_single_episode_is_the_row_of_the_table(episodes):
-    record = run_episode(SHORT, "faster", Variant("env", ShieldConfig()), seed=100_001).row()
+    record = run_episode(SHORT, "faster", ShieldVariant("env", ShieldConfig()), seed=100_001).row()
     row = episodes[(episodes["mode"] == "full") & (episodes["seed"] == 100_001)].iloc[0]
     for key, value in record.items():
         if not key.startswith("latenc"):
@@ -90,7 +90,7 @@ def test_throttle_and_steering_are_driven_with_and_without_a_shield(policy):
 
 def test_recording_does_not_depend_on_the_shield():
     alone = run_episode(WHEEL, "throttle", seed=4)
-    watched = run_episode(WHEEL, "throttle", Variant("env", ShieldConfig(mode="none")), seed=4)
+    watched = run_episode(WHEEL, "throttle", ShieldVariant("env", ShieldConfig(mode="none")), seed=4)
     for name in ("return_", "crashed", "off_road", "distance", "mean_jerk", "mean_lateral_acceleration", "attribution"):
         assert getattr(alone, name) == getattr(watched, name), name
 
@@ -117,15 +117,15 @@ def test_nothing_to_run_and_unknown_names_are_refused():
     with pytest.raises(ConfigError, match="nothing to run"):
         run_paired(SHORT, "faster", [], SEEDS)
     with pytest.raises(ConfigError, match="jobs"):
-        run_paired(SHORT, "faster", [Variant()], SEEDS, jobs=0)
+        run_paired(SHORT, "faster", [ShieldVariant()], SEEDS, jobs=0)
     with pytest.raises(ConfigError, match="valid are none, env, policy"):
-        Variant("window")
+        ShieldVariant("window")
     with pytest.raises(ConfigError, match="unknown shield mode"):
         make_variants(["fulll"], ["env"])
 
 
 def test_keywords_that_moved_to_the_run_options_work_and_warn():
-    drive = ("highway", "idle", [Variant()], [0])
+    drive = ("highway", "idle", [ShieldVariant()], [0])
     with pytest.warns(DeprecationWarning, match=r"pass run=RunOptions\(steps=...\)"):
         rows = run_paired(*drive, steps=True)
     assert rows["decisions"].equals(run_paired(*drive, run=RunOptions(steps=True))["decisions"])

@@ -16,10 +16,10 @@ from typer.testing import CliRunner
 from evaluation.commands.cli import app
 from evaluation.falsification.finds import Find, made_with, replay
 from evaluation.running import manifest as storing
-from evaluation.running.certify import Asked, certify
+from evaluation.running.certify import CertifyRun, certify
 from evaluation.running.episodes import RunOptions, run_paired
 from evaluation.running.identity import differences, of_environment, of_policy, policy_files
-from evaluation.running.records import Variant
+from evaluation.running.records import ShieldVariant
 from evaluation.running.store import Store
 from evaluation.settings import Setting
 from shield.config import ShieldConfig
@@ -173,7 +173,7 @@ def test_the_identity_of_a_row_is_plain_data_and_repeatable():
 def test_a_folder_of_parts_is_not_continued_with_another_model(tmp_path):
     model = tmp_path / "model.zip"
     save(model, 0)
-    asked = Asked(SHORT, str(model), 2, 50, ShieldConfig())
+    asked = CertifyRun(SHORT, str(model), 2, 50, ShieldConfig())
     certify(asked, tmp_path / "parts")
     certify(asked, tmp_path / "parts")
     save(model, 1)
@@ -190,9 +190,9 @@ def test_a_model_that_is_saved_again_is_driven_again_in_the_same_process(tmp_pat
     returns = []
     for action in (3, 4):
         save(model, 0, prefers=action)
-        frame = run_paired(SHORT, str(model), [Variant()], [7], run=RunOptions(store=Store(None, {})))
+        frame = run_paired(SHORT, str(model), [ShieldVariant()], [7], run=RunOptions(store=Store(None, {})))
         returns.append(frame["mean_speed"].item())
-        found = certify(Asked(SHORT, str(model), 1, 7, ShieldConfig()), tmp_path / str(action))
+        found = certify(CertifyRun(SHORT, str(model), 1, 7, ShieldConfig()), tmp_path / str(action))
         returns.append(found["mean_speed"].item())
     assert returns[0] > returns[2]
     assert returns[1] > returns[3]

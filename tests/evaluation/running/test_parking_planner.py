@@ -11,7 +11,7 @@ from evaluation.report.table import SUMMARY, markdown
 from evaluation.running.episodes import run_episode, run_paired
 from evaluation.running.named_policies import make_policy
 from evaluation.running.parking_planner import PARKING_POLICIES, load, parking_policy
-from evaluation.running.records import Variant
+from evaluation.running.records import ShieldVariant
 from evaluation.settings import get_setting
 from mpc.tasks.notebook import NotebookModel, NotebookPolicy
 from shield.errors import ConfigError
@@ -28,7 +28,7 @@ def test_planners_park_and_the_record_says_so(policy):
 
 def test_records_do_not_depend_on_earlier_episodes():
     seeds = [71, 72]
-    together = run_paired("parking", "cem", [Variant()], seeds)
+    together = run_paired("parking", "cem", [ShieldVariant()], seeds)
     alone = run_episode("parking", "cem", seed=72)
     assert together.loc[1, "return"] == alone.return_
     assert together.loc[1, "steps"] == alone.steps

@@ -8,7 +8,7 @@ import torch
 from stable_baselines3 import DQN
 
 from evaluation.running.episodes import run_episode
-from evaluation.running.records import Variant
+from evaluation.running.records import ShieldVariant
 from evaluation.running.simulators import environment
 from evaluation.settings import get_setting
 from evaluation.training.train import train
@@ -25,20 +25,24 @@ def row_of(setting, variant, simulator, policy="random"):
 
 
 @pytest.mark.parametrize("setting", ["roundabout", "intersection", "merge"])
-@pytest.mark.parametrize("variant", [Variant(), Variant(door="actions", config=EXACT)], ids=["bare", "exact"])
+@pytest.mark.parametrize(
+    "variant", [ShieldVariant(), ShieldVariant(door="actions", config=EXACT)], ids=["bare", "exact"]
+)
 def test_an_episode_has_the_same_record(setting, variant):
     one, other = (row_of(setting, variant, simulator) for simulator in ("highway-env", "compiled"))
     np.testing.assert_equal(one, other)
 
 
 def test_an_episode_off_the_road_has_the_same_record():
-    one, other = (row_of("roundabout-continuous", Variant(), simulator) for simulator in ("highway-env", "compiled"))
+    one, other = (
+        row_of("roundabout-continuous", ShieldVariant(), simulator) for simulator in ("highway-env", "compiled")
+    )
     np.testing.assert_equal(one, other)
     assert one["off_road"]
 
 
 def test_a_shield_that_supervises_frames_is_driven_in_highway_env():
-    setting, variant = get_setting("roundabout"), Variant(door="env", config=ShieldConfig.for_roads())
+    setting, variant = get_setting("roundabout"), ShieldVariant(door="env", config=ShieldConfig.for_roads())
     assert environment(setting, "faster", variant, None, "auto")[0] == "highway-env"
     with pytest.raises(ConfigError, match="one by one"):
         environment(setting, "faster", variant, None, "compiled")

@@ -4,7 +4,7 @@ import pandas as pd
 import pytest
 
 from evaluation.running.episodes import run_episode, run_paired
-from evaluation.running.records import Variant, make_variants
+from evaluation.running.records import ShieldVariant, make_variants
 from evaluation.settings import Setting, get_setting
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
@@ -29,7 +29,7 @@ def test_rows_are_the_same_in_both(policy):
 def test_observations_at_each_frame_are_the_same_in_both(sensor, order):
     kinematics = {"type": "Kinematics", "vehicles_count": 8, "see_behind": True, "order": order}
     setting = Setting("observed", "highway-fast-v0", {"duration": 10, "observation": kinematics})
-    variant, tables = Variant("env", ShieldConfig(), "observation"), []
+    variant, tables = ShieldVariant("env", ShieldConfig(), "observation"), []
     for simulator in ("highway-env", "compiled"):
         table = run_paired(setting, "faster", [variant], (0, 26), simulator=simulator, sensor=sensor)
         assert set(table.pop("simulator")) == {simulator}
@@ -41,9 +41,13 @@ def test_observations_at_each_frame_are_the_same_in_both(sensor, order):
 @pytest.mark.parametrize(
     ("setting", "policy", "variant"),
     [
-        (SHORT, "faster", Variant("policy", ShieldConfig())),
-        (get_setting("parking"), "random", Variant()),
-        (Setting("mpc", "highway-fast-v0", {"duration": 1, "action": {"type": "ContinuousAction"}}), "mpc", Variant()),
+        (SHORT, "faster", ShieldVariant("policy", ShieldConfig())),
+        (get_setting("parking"), "random", ShieldVariant()),
+        (
+            Setting("mpc", "highway-fast-v0", {"duration": 1, "action": {"type": "ContinuousAction"}}),
+            "mpc",
+            ShieldVariant(),
+        ),
     ],
     ids=["door", "road", "policy"],
 )

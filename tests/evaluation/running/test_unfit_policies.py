@@ -8,9 +8,9 @@ from stable_baselines3 import PPO
 from typer.testing import CliRunner
 
 from evaluation.commands.cli import app, main
-from evaluation.running.certify import Asked, certify
+from evaluation.running.certify import CertifyRun, certify
 from evaluation.running.episodes import run_episode
-from evaluation.running.records import DOORS, Variant
+from evaluation.running.records import PLACEMENTS, ShieldVariant
 from evaluation.settings import Setting
 from shield import Shield, ShieldedEnv
 from shield.config import ShieldConfig
@@ -58,12 +58,12 @@ CASES = [
 def test_no_row_is_driven_by_a_model_that_does_not_fit(models, name, env_id, config, message, tmp_path):
     model, path = models[name]
     setting = Setting("mine", env_id, config)
-    for door in DOORS:
+    for door in PLACEMENTS:
         for policy in (model, path):
             with pytest.raises(PolicyError, match=message):
-                run_episode(setting, policy, Variant(door))
+                run_episode(setting, policy, ShieldVariant(door))
     with pytest.raises(PolicyError, match=message):
-        certify(Asked(setting, path, 1, 50, ShieldConfig()), tmp_path)
+        certify(CertifyRun(setting, path, 1, 50, ShieldConfig()), tmp_path)
     env = gym.make(env_id, config=config)
     for made in (Shield, lambda policy, env: ShieldedEnv(env, policy=policy)):
         with pytest.raises(PolicyError, match=message):

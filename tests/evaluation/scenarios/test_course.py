@@ -19,13 +19,13 @@ from PIL import Image
 
 from dynamics.highway_simulator.arithmetic import sums_of_numpy
 from dynamics.highway_simulator.loops import addresses
-from dynamics.road_networks.geometry.lanes import Lanes, closest
+from dynamics.road_networks.geometry.lanes import NetworkLanes, closest
 from dynamics.road_networks.geometry.network import index_of, network_of
 from dynamics.road_networks.traffic.priority_road import PriorityRoad
 from dynamics.state import wrap_to_pi
-from evaluation.report.course_picture import draw_course
+from evaluation.report.course_picture import draw_map
 from evaluation.scenarios import ComplexRoadsEnv
-from evaluation.scenarios.course import SUBMAPS, Course, build_course, order_of
+from evaluation.scenarios.course import SUBMAPS, ScenarioMap, build_map, order_of
 from evaluation.scenarios.traffic import free_places
 from shield.errors import ConfigError
 
@@ -46,7 +46,7 @@ def successors(network: RoadNetwork) -> Iterator[tuple[AbstractLane, AbstractLan
 @given(COUNTS)
 def test_every_lane_continues_in_the_same_lane_of_each_following_road(counts: dict[str, int]) -> None:
     joints = 0
-    for lane, following in successors(build_course(counts).network):
+    for lane, following in successors(build_map(counts).network):
         joints += 1
         assert np.abs(lane.position(lane.length, 0.0) - following.position(0.0, 0.0)).max() < 1e-6
         assert abs(wrap_to_pi(lane.heading_at(lane.length) - following.heading_at(0.0))) < 1e-6
@@ -56,7 +56,7 @@ def test_every_lane_continues_in_the_same_lane_of_each_following_road(counts: di
 @settings(max_examples=40)
 @given(COUNTS)
 def test_every_exit_is_reached_from_every_spawn(counts: dict[str, int]) -> None:
-    course = build_course(counts)
+    course = build_map(counts)
     crossings = 2 * counts["intersection"] + 2 * counts["roundabout"]
     assert len(course.exits) == 2 + crossings
     assert len(course.spawns) == 2 + crossings + counts["merge"]
@@ -70,14 +70,14 @@ def test_every_exit_is_reached_from_every_spawn(counts: dict[str, int]) -> None:
 def test_the_course_has_the_configured_number_of_pieces(counts: dict[str, int]) -> None:
     kinds = order_of(counts)
     assert {kind: kinds.count(kind) for kind in SUBMAPS} == counts
-    assert [piece.name.rpartition("-")[0] for piece in build_course(counts).pieces] == list(kinds)
+    assert [piece.name.rpartition("-")[0] for piece in build_map(counts).pieces] == list(kinds)
 
 
 @settings(max_examples=15)
 @given(COUNTS)
 def test_pieces_lie_apart_but_where_they_join(counts: dict[str, int]) -> None:
     clouds = []
-    for piece in build_course(counts).pieces:
+    for piece in build_map(counts).pieces:
         lanes = [lane for edge in piece.edges for lane in edge.lanes]
         # Without their ends, which neighbours share.
         along = [(lane, s) for lane in lanes for s in np.linspace(0.0, lane.length, 9) if 3 < s < lane.length - 3]
@@ -88,9 +88,9 @@ def test_pieces_lie_apart_but_where_they_join(counts: dict[str, int]) -> None:
 
 
 def test_the_default_course_is_that_of_the_paper() -> None:
-    kinds = [piece.name.rpartition("-")[0] for piece in build_course().pieces]
+    kinds = [piece.name.rpartition("-")[0] for piece in build_map().pieces]
     assert sorted(kinds) == sorted(["merge", "intersection", "roundabout"] * 2 + ["straight"] * 4)
-    shapes = {type(lane) for lane in build_course().network.lanes_list()}
+    shapes = {type(lane) for lane in build_map().network.lanes_list()}
     assert shapes == {StraightLane, SineLane, CircularLane}
 
 
@@ -112,7 +112,7 @@ def test_counts_that_make_no_course_are_refused(counts: Any, told: str) -> None:
 
 
 PLACES = st.tuples(st.floats(-50, 850), st.floats(-100, 600), st.none() | st.floats(-4, 4))
-COURSE = build_course()
+COURSE = build_map()
 
 
 @settings(max_examples=200)
@@ -138,7 +138,7 @@ def test_a_body_is_looked_for_among_the_lanes_near_its_own(
     at = COURSE.network.get_lane(names[number])
     s = beyond if guess % 2 else at.length + beyond
     position, heading = at.position(s, across), float(at.heading_at(s)) + turned
-    lanes = Lanes(sums_of_numpy()[0], addresses(), network.lanes, network.ids, network.near)
+    lanes = NetworkLanes(sums_of_numpy()[0], addresses(), network.lanes, network.ids, network.near)
     found, *place = closest(lanes, *position.tolist(), heading, int(near[guess % len(near)]))
     assert names[found] == RoadNetwork.get_closest_lane_index(COURSE.network, position, heading)
     assert tuple(place) == pytest.approx(COURSE.network.get_lane(names[found]).local_coordinates(position), abs=1e-9)
@@ -185,7 +185,7 @@ def test_left_turns_yield_to_oncoming_vehicles() -> None:
 
 
 def test_the_whole_course_is_pictured(tmp_path: Path) -> None:
-    path = draw_course(tmp_path / "new" / "course.png", width=400)
+    path = draw_map(tmp_path / "new" / "course.png", width=400)
     picture = np.asarray(Image.open(path).convert("RGB"))
     assert picture.shape[1] == 400
     assert (picture == (50, 200, 0)).all(axis=2).any()  # the ego's dot
@@ -193,11 +193,11 @@ def test_the_whole_course_is_pictured(tmp_path: Path) -> None:
     assert bright[:20].any()
     assert bright[-20:].any()
     with pytest.raises(ConfigError, match=r"\.png"):
-        draw_course(tmp_path / "course.gif")
+        draw_map(tmp_path / "course.gif")
 
 
 def test_a_course_is_the_same_each_time() -> None:
-    one, other = (build_course({"merge": 1, "intersection": 2}) for _ in range(2))
-    assert isinstance(one, Course)
+    one, other = (build_map({"merge": 1, "intersection": 2}) for _ in range(2))
+    assert isinstance(one, ScenarioMap)
     assert one.network.to_config() == other.network.to_config()
     assert (one.spawns, dict(one.exits)) == (other.spawns, dict(other.exits))

@@ -9,7 +9,7 @@ import pytest
 import evaluation.scenarios  # noqa: F401  (registers the environments)
 from dynamics.road_networks.simulation.compiled_frames import CompiledFrames
 from evaluation.running.episodes import run_episode
-from evaluation.running.records import Variant
+from evaluation.running.records import ShieldVariant
 from evaluation.settings import get_setting
 from shield import ConfigError, ShieldConfig, ShieldedEnv
 
@@ -38,7 +38,7 @@ def test_steering_at_random_keeps_to_the_road(seed):
 
 
 def test_an_episode_of_the_setting_ends():
-    record = run_episode("lane-keeping", "idle", Variant(), seed=3)
+    record = run_episode("lane-keeping", "idle", ShieldVariant(), seed=3)
     assert record.steps == 300
     assert record.off_road
     assert not record.crashed

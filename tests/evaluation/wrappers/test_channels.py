@@ -15,14 +15,14 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNorm
 
 from evaluation.names import CHANNEL_NAMES
 from evaluation.running.episodes import run_episode
-from evaluation.running.records import Variant
+from evaluation.running.records import ShieldVariant
 from evaluation.training.train import train
 from evaluation.wrappers import SENSORS, Confidence, Intent, SensorModel, SensorNoise, TrackedConfidence, seen_through
 from evaluation.wrappers.channels import CHANNELS
 from shield import Shield, ShieldedEnv
 from shield.decision import Reason
 from shield.errors import ConfigError
-from shield.perception.scenes import sense
+from shield.perception.scenes import observe_now
 from shield.perception.spec import ObservationSpec
 
 SEEN = {"type": "Kinematics", "vehicles_count": 15, "see_behind": True}
@@ -85,7 +85,7 @@ def test_the_same_instant_counts_once():
     env = Confidence(seen_through(highway(), "normalised-0.5"))
     env.reset(seed=0)
     for _ in range(3):
-        assert set(env.observation(sense(env))[:, 5].tolist()) <= {0.0, 1.0}
+        assert set(env.observation(observe_now(env))[:, 5].tolist()) <= {0.0, 1.0}
 
 
 def test_tracked_confidence_is_calibrated():
@@ -178,7 +178,7 @@ def test_a_shield_around_the_environment_looks_below_the_channels():
     shielded = ShieldedEnv(env, perception="observation")
     obs, _ = shielded.reset(seed=0)
     assert obs.shape == (15, 7)
-    assert sense(env).shape == (15, 5)
+    assert observe_now(env).shape == (15, 5)
     for _ in range(3):
         obs, *_ = shielded.step(3)
         assert obs.shape == (15, 7)
@@ -208,7 +208,7 @@ def test_training_and_evaluation_go_through_the_same_sensor(tmp_path):
     assert trained.manifest["sensor"] == ALL
     assert f"sensor={ALL!r}" in shlex.split(trained.manifest["command"])[-1]
     assert PPO.load(trained.path, device="cpu").observation_space.shape == (5, 7)
-    record = run_episode("highway-fast", str(trained.path), Variant(), 600, sensor=ALL)
+    record = run_episode("highway-fast", str(trained.path), ShieldVariant(), 600, sensor=ALL)
     assert record.steps > 0
     with pytest.raises(ConfigError, match="observes highway-env itself"):
         train("merge", "ppo", 16, 0, output=tmp_path / "no", simulator="compiled", sensor=ALL)

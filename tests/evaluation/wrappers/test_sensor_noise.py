@@ -9,7 +9,7 @@ import pytest
 
 from evaluation.names import SENSOR_NAMES
 from evaluation.running.episodes import run_episode
-from evaluation.running.records import Variant
+from evaluation.running.records import ShieldVariant
 from evaluation.wrappers import SENSORS, SensorModel, SensorNoise
 from evaluation.wrappers.sensor_noise import get_sensor
 from shield import ShieldedEnv
@@ -99,7 +99,7 @@ def test_supervised_frames_are_observed_through_the_sensor():
 
 @pytest.mark.parametrize("seed", range(500, 502))
 def test_the_shielded_ego_does_not_crash_with_half_a_metre_of_noise(seed):
-    variant = Variant(door="env", perception="observation")
+    variant = ShieldVariant(door="env", perception="observation")
     record = run_episode("highway-fast-seen", "faster", variant, seed, sensor="metric-0.5")
     assert not record.crashed
     assert record.door == "env, observation"

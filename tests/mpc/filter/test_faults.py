@@ -8,7 +8,7 @@ import pytest
 from dynamics.errors import ConfigError, SceneError, ShieldError
 from mpc import FilterProblem, FilterSettings, PredictiveFilter, Reference, Status
 from mpc.filter.program.condensed import build
-from mpc.filter.solvers.daqp import Answer, Solver, residuals
+from mpc.filter.solvers.daqp import QpSolution, Solver, residuals
 
 SETTINGS = FilterSettings()
 N = SETTINGS.stages
@@ -162,9 +162,9 @@ def raising(answer):
     "how",
     [
         raising,
-        lambda a: Answer(None, np.inf, np.inf, 0),
-        lambda a: Answer(np.full_like(a.x, np.nan), 0.0, 0.0, 0),
-        lambda a: Answer(np.full_like(a.x, np.inf), 0.0, 0.0, 0),
+        lambda a: QpSolution(None, np.inf, np.inf, 0),
+        lambda a: QpSolution(np.full_like(a.x, np.nan), 0.0, 0.0, 0),
+        lambda a: QpSolution(np.full_like(a.x, np.inf), 0.0, 0.0, 0),
     ],
     ids=["raises", "fails", "claims NaN solved", "claims infinity solved"],
 )
@@ -180,7 +180,7 @@ def test_a_broken_solver_is_reset_and_leaves_no_plan(how, expected):
 
 def test_a_solver_that_claims_nonsense_is_found_out_by_the_rollout(expected):
     used = PredictiveFilter(SETTINGS)
-    used._solver = Broken(lambda a: Answer(-a.x, 0.0, 0.0, 0))
+    used._solver = Broken(lambda a: QpSolution(-a.x, 0.0, 0.0, 0))
     result = used.solve(clean())
     if result.status.usable:
         assert result.violation < SETTINGS.tolerance

@@ -12,7 +12,7 @@ from cores import ContinuousCore
 from dynamics.vehicle import bicycle
 from dynamics.vehicle.actuators import Actuators
 from shield import ShieldConfig, ShieldedEnv
-from shield.alternatives.nearest_input import Search
+from shield.alternatives.nearest_input import NearestInputSearch
 from shield.decision import Tier
 from shield.errors import ConfigError
 
@@ -60,7 +60,9 @@ def test_a_plan_of_another_model_is_verified_on_the_bicycle(name, monkeypatch):
     for scene, proposal in SCENES:
         core.reset()
         with monkeypatch.context() as patch:
-            patch.setattr(Search, "run", lambda self, lanes, *_: self._judge(self._proposal[None], lanes, False))
+            patch.setattr(
+                NearestInputSearch, "run", lambda self, lanes, *_: self._judge(self._proposal[None], lanes, False)
+            )
             inputs, decision = core.filter(scene, proposal)
         assert np.isfinite(inputs).all()
         if decision.tier is Tier.GOVERNED:

@@ -7,7 +7,7 @@ import pytest
 
 from dynamics.highway_simulator.env import CompiledHighwayEnv
 from evaluation.running.episodes import run_paired
-from evaluation.running.records import Variant
+from evaluation.running.records import ShieldVariant
 from evaluation.settings import Setting
 from shield import ShieldedEnv
 from shield.batch.lookahead import ShieldedLookaheadPolicy
@@ -38,7 +38,7 @@ def test_scoring_does_not_change_the_simulator():
 
 
 def test_shielded_lookahead_earns_more_than_always_faster():
-    setting, config = Setting("some", "highway-fast-v0", {"duration": 15}), Variant("env")
+    setting, config = Setting("some", "highway-fast-v0", {"duration": 15}), ShieldVariant("env")
     found = {
         name: run_paired(setting, name, [config], range(4), simulator="compiled")
         for name in ("faster", "lookahead-shielded")
@@ -50,7 +50,7 @@ def test_shielded_lookahead_earns_more_than_always_faster():
 def test_shielded_lookahead_gives_the_same_returns_in_highway_env():
     setting = Setting("some", "highway-fast-v0", {"duration": 3})
     rows = [
-        run_paired(setting, "lookahead-shielded", [Variant("env")], [2], simulator=s)
+        run_paired(setting, "lookahead-shielded", [ShieldVariant("env")], [2], simulator=s)
         for s in ("compiled", "highway-env")
     ]
     assert rows[0]["return"].tolist() == pytest.approx(rows[1]["return"].tolist(), abs=0)

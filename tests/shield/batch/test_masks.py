@@ -14,8 +14,8 @@ from dynamics.traffic.assumptions import Assumptions
 from shield import ShieldConfig, ShieldedEnv
 from shield.batch.highways import ShieldedHighways
 from shield.certificate.simulated.batch_choice import batch_for
-from shield.certificate.simulated.highways import ExactHighways
-from shield.certificate.simulated.roads import ExactRoads
+from shield.certificate.simulated.highways import SimulatedHighways
+from shield.certificate.simulated.roads import SimulatedRoads
 from shield.config import PROFILES
 
 WEAK = Assumptions(braking=2.0, calm_braking=1.0, slip_in=False, turning_action=1.0)
@@ -43,7 +43,7 @@ def drive(env_id, config, shield, seeds):
 
 
 def remembered(highways):
-    return highways.plans if isinstance(highways, ExactHighways) else highways.shields
+    return highways.plans if isinstance(highways, SimulatedHighways) else highways.shields
 
 
 @settings(deadline=None, max_examples=10)
@@ -148,7 +148,7 @@ def test_a_scene_that_is_not_finite_has_no_mask():
 
 
 def test_masks_exist_on_road_networks():
-    roads, rng = ExactRoads("merge-v0", 2), np.random.default_rng(0)
+    roads, rng = SimulatedRoads("merge-v0", 2), np.random.default_rng(0)
     one = ShieldedEnv(roads.one(), EXACT)
     one.reset(seed=8)
     roads.reset([8, 9])

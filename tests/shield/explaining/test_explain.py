@@ -15,7 +15,7 @@ from evaluation.running.records import variant_for
 from shield import Reason, Shield, ShieldConfig, ShieldedEnv
 from shield.decision import Decision, Tier
 from shield.errors import ConfigError
-from shield.explanation import Lost
+from shield.explanation import LostGuarantee
 
 INPUTS = {"action": {"type": "ContinuousAction"}}
 EXACT = ShieldConfig.simulated_traffic()
@@ -210,7 +210,7 @@ def test_the_data_of_an_explanation_are_not_pickled():
 
 @pytest.mark.parametrize(
     ("seed", "lost"),
-    [(1790, Lost.PRECAUTION), (2840, Lost.PRECAUTION)],
+    [(1790, LostGuarantee.PRECAUTION), (2840, LostGuarantee.PRECAUTION)],
 )
 def test_a_fallback_says_that_a_precaution_was_lost(seed, lost):
     """No plan verifies because of a possible cut-in that does not happen, with margins of -2.0 m."""
@@ -244,6 +244,6 @@ def test_a_fallback_says_that_the_guarantee_was_lost():
         if terminated or truncated:
             break
     assert any(
-        why.lost is Lost.GUARANTEE and "has broken a rule" in why.text and "the guarantee is lost" in why.text
+        why.lost is LostGuarantee.GUARANTEE and "has broken a rule" in why.text and "the guarantee is lost" in why.text
         for why in told
     ), [w.text for w in told]

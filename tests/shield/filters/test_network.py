@@ -15,14 +15,14 @@ from slowly import later
 from typer.testing import CliRunner
 
 from evaluation.commands.cli import app
-from evaluation.falsification.network_adversaries import man
-from evaluation.falsification.network_attack import attack, watch_for_a_crash
+from evaluation.falsification.network_adversaries import install_drivers
+from evaluation.falsification.network_attack import attack, record_blameless_crash
 from evaluation.settings import Setting
 from shield import Shield, ShieldConfig, ShieldedEnv
-from shield.certificate.network.monitor import Breach
+from shield.certificate.network.monitor import NetworkRule
 from shield.decision import Reason, Tier
 from shield.errors import ConfigError
-from shield.filters.network import RoadDoor
+from shield.filters.network import NetworkFilter
 
 ROADS = ("roundabout-v1", "merge-v1", "exit-v0", "two-way-v0", "u-turn-v1", "intersection-v2")
 STEPS = 15
@@ -33,7 +33,7 @@ def shielded(env_id, seed=0, wild=0, config="worst-case", drivers="wild"):
     env = ShieldedEnv(gym.make(env_id), config)
     env.reset(seed=seed)
     env.action_space.seed(seed)
-    man(env, drivers, wild, seed)
+    install_drivers(env, drivers, wild, seed)
     return env
 
 
@@ -67,7 +67,7 @@ def test_any_behaviour_is_a_violation_or_leaves_the_plan_clear(env_id, seed, dri
     env = shielded(env_id, seed, wild=6, drivers=drivers)
     seen = frames(env)
     watch = env._door.watch
-    assert Breach.UNFORESEEN not in watch.by_rule
+    assert NetworkRule.UNFORESEEN not in watch.by_rule
     assert not env.unwrapped.vehicle.crashed or watch.count > 0
     for _, decision, _ in seen:
         assert decision.tier is not Tier.EMERGENCY
@@ -83,9 +83,9 @@ def test_any_behaviour_is_a_violation_or_harmless_with_right_of_way(env_id, driv
     env = shielded(env_id, seed, 8, ShieldConfig.for_roads(6.0, env_id != "merge-v1", True), drivers)
     frames(env)
     by_rule = env.door.by_rule
-    assert Breach.UNFORESEEN not in by_rule
+    assert NetworkRule.UNFORESEEN not in by_rule
     assert not env.unwrapped.vehicle.crashed or by_rule
-    assert drivers == "wild" or Breach.RIGHT_OF_WAY not in by_rule
+    assert drivers == "wild" or NetworkRule.RIGHT_OF_WAY not in by_rule
 
 
 @pytest.mark.parametrize("waits", [True, False])
@@ -105,8 +105,8 @@ def test_a_vehicle_that_has_to_wait_and_does_not_is_a_violator(waits):
     env.door.reset()
     for _ in range(4):
         env.step(1)
-    assert (env.door.by_rule.get(Breach.RIGHT_OF_WAY, 0) > 0) != waits
-    assert Breach.UNFORESEEN not in env.door.by_rule
+    assert (env.door.by_rule.get(NetworkRule.RIGHT_OF_WAY, 0) > 0) != waits
+    assert NetworkRule.UNFORESEEN not in env.door.by_rule
     assert not ego.crashed or not waits
 
 
@@ -225,7 +225,7 @@ def test_no_guarantee_is_given_before_a_plan_verifies():
     """Too near to a vehicle at the reset, at more than twice its speed, on a single lane."""
     entry = ("ser", "ses", 0)
     env = placed("roundabout-v1", "worst case", Body(entry, 80.0, 20.0, "nxs"), [Body(entry, 90.0, 8.0, "nxs")])
-    blameless, done = watch_for_a_crash(env.unwrapped, env.door), False
+    blameless, done = record_blameless_crash(env.unwrapped, env.door), False
     while not done:
         *_, terminated, truncated, info = env.step(1)
         done = terminated or truncated
@@ -292,7 +292,7 @@ def test_masks_on_a_network_hold_the_actions_that_pass():
 
 def test_the_worst_case_has_the_settings_for_its_traffic():
     """Those of intersections accelerate harder, and the settings say so."""
-    assert isinstance(shielded("roundabout-v1")._door, RoadDoor)
+    assert isinstance(shielded("roundabout-v1")._door, NetworkFilter)
     assert shielded("intersection-v0").config == ShieldConfig.for_roads(6.0)
     assert shielded("roundabout-v1").config.assumptions.looks_ahead
     assert ShieldConfig.profile("roads") == ShieldConfig.for_roads()

@@ -12,7 +12,7 @@ from scipy.special import ndtr
 from evaluation.wrappers import SENSORS, SensorNoise
 from shield import ShieldedEnv
 from shield.perception import filter_kernels, filters, tracking
-from shield.perception.tracking import Motions
+from shield.perception.tracking import MotionModels
 
 CENTERS = np.array([0.0, 4.0, 8.0, 12.0])
 
@@ -40,14 +40,16 @@ def followed(draw):
 @settings(max_examples=40, deadline=None)
 def test_the_compiled_filters_are_the_formulas(case, dt, lanes):
     chances, means, covariances, seen, noise, rng = case
-    changes, course, pushed, centers = tracking._foreseen(dt, Motions(centers=CENTERS if lanes else None))
+    changes, course, pushed, centers = tracking._prediction_parameters(
+        dt, MotionModels(centers=CENTERS if lanes else None)
+    )
     step = course, pushed, centers
     both = filters, filter_kernels
     for one, other in zip(*(each.moved(means, covariances, *step) for each in both), strict=True):
         agree(other, one)
     for one, other in zip(*(each.mixture(chances, means, covariances) for each in both), strict=True):
         agree(other, one)
-    ahead = filters.expected(chances, means, covariances, changes, *step)
+    ahead = filters.predict(chances, means, covariances, changes, *step)
     for one, other in zip(ahead, filter_kernels.expected(chances, means, covariances, changes, *step), strict=True):
         agree(other, one)
     for one, other in zip(*(each.distances(*ahead[1:], seen, noise) for each in both), strict=True):

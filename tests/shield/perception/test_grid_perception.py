@@ -20,8 +20,8 @@ from dynamics.state import Vehicle
 from shield import ConfigError, GridSpec, Known, PerceptionConfig, SceneError, Shield, ShieldedEnv, Unseen
 from shield.decision import Guarantee, Reason
 from shield.perception.grid_perception import GridPerception
-from shield.perception.grid_sighting import decode_grid, lane_in_grid, reach_of
-from shield.perception.unwrapping import as_shown
+from shield.perception.grid_sighting import covered_distance, decode_grid, lane_in_grid
+from shield.perception.unwrapping import undo_vec_wrappers
 
 FINE = {
     "type": "OccupancyGrid",
@@ -96,7 +96,7 @@ def test_every_vehicle_in_the_grid_is_inside_its_bounds(grid, seed, turns):
     inside = (there[:, None] >= sighting.low - slack) & (there[:, None] <= sighting.high + slack)
     if len(sighting.low):
         assert inside.all(axis=2).any(axis=0).all()
-    far, back = reach_of(spec, *(ROAD.centers[[0, -1]] - base.vehicle.position[1]), heading)
+    far, back = covered_distance(spec, *(ROAD.centers[[0, -1]] - base.vehicle.position[1]), heading)
     low, high = sighting.cells[:, [0, 2]], sighting.cells[:, [1, 3]]
     for each, held in zip(there, inside, strict=True):
         if held.all(axis=1).any() or not -back <= each[0] <= far:
@@ -261,13 +261,15 @@ def test_a_slow_vehicle_is_assumed_beyond_the_grid():
 def test_the_grid_turns_with_the_ego():
     """The further the ego is turned, the nearer is the edge at which the road leaves a grid along it."""
     spec, reach = GridSpec(size=((-100.0, 100.0), (-15.0, 15.0)), step=(5.0, 2.0), aligned=True), []
-    assert reach_of(spec, -4.0, 4.0, 0.0) == (100.0, 100.0)
+    assert covered_distance(spec, -4.0, 4.0, 0.0) == (100.0, 100.0)
     for heading in (0.1, 0.2, 0.3):
-        reach.append(reach_of(spec, -4.0, 4.0, heading))
-        assert reach_of(spec, -4.0, 4.0, heading) == pytest.approx(reach_of(spec, -4.0, 4.0, -heading), abs=2.0)
+        reach.append(covered_distance(spec, -4.0, 4.0, heading))
+        assert covered_distance(spec, -4.0, 4.0, heading) == pytest.approx(
+            covered_distance(spec, -4.0, 4.0, -heading), abs=2.0
+        )
     assert reach[0][0] > reach[1][0] > reach[2][0]
     assert reach[-1][0] == pytest.approx((15.0 - 4.0 * np.cos(0.3)) / np.sin(0.3))
-    assert reach_of(replace(spec, size=((-100.0, 100.0), (-15.0, 3.0))), -4.0, 4.0, 0.0) == (0.0, 0.0)
+    assert covered_distance(replace(spec, size=((-100.0, 100.0), (-15.0, 3.0))), -4.0, 4.0, 0.0) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -353,7 +355,9 @@ def test_stacked_grids_are_unstacked(order):
         shown = world.reset()
         shielded = Shield(lambda obs: np.array([1]), env=world, **FRAMELESS)
         for _ in range(3):
-            np.testing.assert_array_equal(as_shown(world, shown)[0], inner.envs[0].unwrapped.observation_type.observe())
+            np.testing.assert_array_equal(
+                undo_vec_wrappers(world, shown)[0], inner.envs[0].unwrapped.observation_type.observe()
+            )
             action, _ = shielded.predict(shown)
             assert shielded.last_decision.reason is not Reason.BAD_SCENE
             shown, *_ = world.step(action)

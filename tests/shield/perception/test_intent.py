@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shield.errors import ConfigError
-from shield.perception.certainty import within
-from shield.perception.intent import HABITS, lane_chances, wishes
+from shield.perception.certainty import probability_within
+from shield.perception.intent import LANE_CHANGE_MODEL, lane_chances, lane_change_gains
 from shield.perception.tracking import Tracks
 
 CENTERS = np.array([0.0, 4.0, 8.0])
@@ -42,7 +42,7 @@ def known(states, spread=1e-4, chances=CALM):
 )
 def test_predicted_lanes_are_probabilities(states, spread, chances, lanes):
     tracks, centers = known(states, spread, np.array(chances) / sum(chances)), 4.0 * np.arange(lanes)
-    wished = wishes(tracks, NOBODY, centers)
+    wished = lane_change_gains(tracks, NOBODY, centers)
     said = lane_chances(tracks, wished, centers)
     assert wished.shape == (len(states), 2)
     assert said.shape == (len(states), lanes)
@@ -55,8 +55,8 @@ def test_predicted_lanes_are_probabilities(states, spread, chances, lanes):
 def test_a_calm_vehicle_without_incentive_is_predicted_to_stay(y, lane):
     state = [0.0, CENTERS[lane] + 0.1 * np.sin(y), 20.0, 0.0]
     tracks = known([state])
-    assert not wishes(tracks, NOBODY, CENTERS).any()
-    assert lane_chances(tracks, np.zeros((1, 2)), CENTERS)[0, lane] >= 1 - 2.1 * HABITS.idle
+    assert not lane_change_gains(tracks, NOBODY, CENTERS).any()
+    assert lane_chances(tracks, np.zeros((1, 2)), CENTERS)[0, lane] >= 1 - 2.1 * LANE_CHANGE_MODEL.idle
 
 
 @pytest.mark.parametrize("vy", [-3.0, 3.0])
@@ -82,14 +82,18 @@ def test_a_wider_spread_makes_the_prediction_less_certain(spread):
 def test_a_blocked_vehicle_has_an_incentive_to_change_where_there_is_room():
     slow, fast = [20.0, 4.0, 15.0, 0.0], [0.0, 4.0, 25.0, 0.0]
     beside_below, behind_above = [5.0, 0.0, 20.0, 0.0], [-8.0, 8.0, 25.0, 0.0]
-    np.testing.assert_array_equal(wishes(known([fast, slow]), NOBODY, CENTERS)[0], [1.0, 1.0])
-    np.testing.assert_array_equal(wishes(known([fast, slow, beside_below]), NOBODY, CENTERS)[0], [0.0, 1.0])
-    np.testing.assert_array_equal(wishes(known([fast, slow, beside_below, behind_above]), NOBODY, CENTERS)[0], [0, 0])
+    np.testing.assert_array_equal(lane_change_gains(known([fast, slow]), NOBODY, CENTERS)[0], [1.0, 1.0])
+    np.testing.assert_array_equal(lane_change_gains(known([fast, slow, beside_below]), NOBODY, CENTERS)[0], [0.0, 1.0])
+    np.testing.assert_array_equal(
+        lane_change_gains(known([fast, slow, beside_below, behind_above]), NOBODY, CENTERS)[0], [0, 0]
+    )
     # The ego blocks a lane like any other vehicle.
-    np.testing.assert_array_equal(wishes(known([fast, slow]), np.array(behind_above), CENTERS)[0], [1.0, 0.0])
+    np.testing.assert_array_equal(
+        lane_change_gains(known([fast, slow]), np.array(behind_above), CENTERS)[0], [1.0, 0.0]
+    )
     said = lane_chances(known([fast]), np.array([[0.0, 1.0]]), CENTERS)[0]
-    assert said[2] == pytest.approx(HABITS.eager, abs=0.01)
-    assert said[1] == pytest.approx(1 - HABITS.eager, abs=0.01)
+    assert said[2] == pytest.approx(LANE_CHANGE_MODEL.eager, abs=0.01)
+    assert said[1] == pytest.approx(1 - LANE_CHANGE_MODEL.eager, abs=0.01)
 
 
 def test_lane_change_incentives_are_those_of_highway_env():
@@ -101,7 +105,7 @@ def test_lane_change_incentives_are_those_of_highway_env():
             cars = [v for v in base.road.vehicles if v is not base.vehicle]
             states = np.array([[*v.position, *v.velocity] for v in cars])
             ego = np.array([*base.vehicle.position, *base.vehicle.velocity])
-            wished = wishes(known(states), ego, CENTERS) if k % 2 == 0 else []
+            wished = lane_change_gains(known(states), ego, CENTERS) if k % 2 == 0 else []
             for row, car in zip(wished, cars, strict=False):
                 lane = car.lane_index
                 for j, beside in enumerate((lane[2] - 1, lane[2] + 1)):
@@ -124,7 +128,7 @@ def test_lanes_that_do_not_ascend_are_refused(centers):
     with pytest.raises(ConfigError, match="ascend"):
         lane_chances(tracks, np.zeros((1, 2)), np.array(centers))
     with pytest.raises(ConfigError, match="ascend"):
-        wishes(tracks, NOBODY, np.array(centers))
+        lane_change_gains(tracks, NOBODY, np.array(centers))
 
 
 # -- probability of a position --------------------------------------------------------------------------------------
@@ -154,4 +158,4 @@ def test_the_probability_of_being_near_is_the_share_of_the_mixture(spreads, turn
     which = (rng.random(20_000) >= chance).astype(int)
     drawn = tracks.means[0, which, :2] + rng.multivariate_normal(np.zeros(2), covariance[:2, :2], 20_000)
     share = (np.hypot(*(drawn - tracks.mean[0, :2]).T) <= distance).mean()
-    assert abs(within(tracks, distance)[0] - share) < 0.05
+    assert abs(probability_within(tracks, distance)[0] - share) < 0.05

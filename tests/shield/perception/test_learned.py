@@ -12,10 +12,10 @@ from dynamics.scenes.scene import EgoControl, Target
 from evaluation.wrappers import SENSORS, SensorNoise
 from shield import ConfigError, PerceptionConfig, ShieldedEnv
 from shield.decision import Guarantee
-from shield.perception.filters import FARTHEST
+from shield.perception.filters import SCORE_LIMIT
 from shield.perception.learned import RESOLUTION, WIDEST, Conformal, Learned, Noise
 from shield.perception.perceiving import ObservationPerception
-from shield.perception.sensor_monitor import Monitor
+from shield.perception.sensor_monitor import SensorMonitor
 from shield.perception.spec import ObservationSpec
 
 CONTROL = EgoControl(Target(1, 25.0))
@@ -120,7 +120,7 @@ def test_the_chosen_share_exceeds_conformal_bounds_for_any_distribution(kind):
             scores *= 1.0 + (k // 200) % 2
         elif kind == "adversary":
             scores *= 4.0 / state.bounds[1]
-        scores = np.clip(scores, -FARTHEST, FARTHEST)
+        scores = np.clip(scores, -SCORE_LIMIT, SCORE_LIMIT)
         if k >= 200:
             missed, total = missed + state.missed(scores).sum(axis=1), total + len(scores)
         state = state.after(scores)
@@ -132,16 +132,16 @@ def test_bounds_begin_as_those_of_a_normal_distribution_and_grow_with_tails():
     np.testing.assert_allclose(state.bounds, 2.0, atol=0.05)
     rng = np.random.default_rng(0)
     for _ in range(300):
-        state = state.after(np.clip(1.73 * rng.standard_t(3, (10, 4)), -FARTHEST, FARTHEST))
+        state = state.after(np.clip(1.73 * rng.standard_t(3, (10, 4)), -SCORE_LIMIT, SCORE_LIMIT))
     assert (state.bounds > 3.0).all()
 
 
 def test_the_widest_bounds_do_not_grow():
     state = Conformal.of(2.0)
     for _ in range(50):
-        state = state.after(np.full((10, 4), FARTHEST))
-    assert state.missed(np.full((3, 4), FARTHEST))[1].all()
-    assert (state.bounds[1] == FARTHEST).all()
+        state = state.after(np.full((10, 4), SCORE_LIMIT))
+    assert state.missed(np.full((3, 4), SCORE_LIMIT))[1].all()
+    assert (state.bounds[1] == SCORE_LIMIT).all()
 
 
 def test_bodies_reach_as_far_as_the_conformal_bounds_say():
@@ -164,7 +164,7 @@ def test_bodies_reach_as_far_as_the_conformal_bounds_say():
 @settings(max_examples=60, deadline=None)
 def test_noise_three_times_as_large_raises_an_alarm_and_expected_noise_does_not(seed, vehicles):
     """The squared distances between prediction and observation are those of four normal numbers each."""
-    rng, calm, loud = np.random.default_rng(seed), Monitor(), Monitor()
+    rng, calm, loud = np.random.default_rng(seed), SensorMonitor(), SensorMonitor()
     for frame in range(5):
         distances = rng.chisquare(4, vehicles)
         calm, loud = calm.after(frame, distances, 5), loud.after(frame, 6.0 * distances, 5)
@@ -173,21 +173,21 @@ def test_noise_three_times_as_large_raises_an_alarm_and_expected_noise_does_not(
 
 
 def test_a_single_swerving_vehicle_raises_no_alarm():
-    rng, monitor = np.random.default_rng(0), Monitor()
+    rng, monitor = np.random.default_rng(0), SensorMonitor()
     for frame in range(5):
         monitor = monitor.after(frame, np.concatenate([[1e4], rng.chisquare(4, 7)]), 5)
     assert not monitor.alarmed
 
 
 def test_observations_older_than_a_decision_do_not_count_for_the_alarm():
-    monitor = Monitor()
+    monitor = SensorMonitor()
     for frame in range(5):
         monitor = monitor.after(frame, np.full(10, 30.0), 5)
     assert monitor.alarmed
     for frame in range(5, 10):
         monitor = monitor.after(frame, np.full(10, 2.0), 5)
     assert not monitor.alarmed
-    assert not Monitor().alarmed
+    assert not SensorMonitor().alarmed
 
 
 def test_a_changed_sensor_gets_the_widest_bounds_and_no_guarantee():

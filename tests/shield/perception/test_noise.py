@@ -16,27 +16,27 @@ from evaluation.wrappers import SENSORS, SensorNoise
 from shield import ShieldConfig
 from shield.decision import Tier
 from shield.perception.perceiving import ObservationPerception, PerceptionConfig
-from shield.perception.scenes import ObservedScenes, sense
+from shield.perception.scenes import ObservedScenes, observe_now
 from shield.perception.spec import ObservationSpec
-from shield.perception.tracking import Motions, Tracks, follow, sides
-from shield.pipelines.decide import Core
-from shield.pipelines.frames import Frames
-from shield.pipelines.meta_actions import MetaActions
-from shield.pipelines.screen import Wish
+from shield.perception.tracking import MotionModels, Tracks, bounds_of, update_tracks
+from shield.pipelines.decide import DecisionCore
+from shield.pipelines.frames import FramePipeline
+from shield.pipelines.meta_actions import MetaActionPipeline
+from shield.pipelines.screen import MetaActionProposal
 
 
 @pytest.mark.parametrize("sigma", [0.5, 2.0])
 def test_a_lane_change_is_detected_under_noise(sigma):
     """A vehicle that has left its lane is not assumed inside it because of the prior."""
     rng, noise, dt = np.random.default_rng(1), np.eye(4) * sigma**2, 0.2
-    motions, found = Motions(centers=np.array([0.0, 4.0, 8.0])), []
+    motions, found = MotionModels(centers=np.array([0.0, 4.0, 8.0])), []
     for _ in range(30):
         tracks, y = Tracks(), 0.0
         for k in range(50):
             vy = 2.0 if 10 <= k < 20 else 0.0
             y += vy * dt
             seen = np.array([[20.0 * k * dt, y, 20.0, vy]]) + rng.normal(0, sigma, (1, 4))
-            tracks = follow(tracks, seen, noise, dt, motions, patience=3)
+            tracks = update_tracks(tracks, seen, noise, dt, motions, patience=3)
         found.append(abs(tracks.mean[0, 1] - 4.0))
         assert len(tracks.ids) == 1
     assert np.mean(found) < 0.7
@@ -46,8 +46,8 @@ def test_a_lane_change_is_detected_under_noise(sigma):
 def test_bounds_are_no_wider_than_those_predicted_from_the_frame_before():
     """A leader of constant speed, observed with noise: its rear bound is never behind the reachable one."""
     rng, config = np.random.default_rng(2), ShieldConfig()
-    core, control = Core(MetaActions(config)), EgoControl(Target(0, 25.0))
-    wish, back = Wish(1, control.actions, None), None
+    core, control = DecisionCore(MetaActionPipeline(config)), EgoControl(Target(0, 25.0))
+    wish, back = MetaActionProposal(1, control.actions, None), None
     widest = 0.0
     for k in range(60):
         ego = np.array([25.0 * 0.2 * k, 0.0, 0.0, 25.0, 5.0, 2.0, 0.0])
@@ -71,9 +71,9 @@ def test_newcomers_and_scenes_that_are_exact_are_not_narrowed():
         row = np.array([[60.0, 0.0, 0.0, 24.0, 6.0, 2.5, 0.0]])
         ego = np.array([0.0, 0.0, 0.0, 25.0, 5.0, 2.0, 0.0])
         around.append(Scene(ego, row, ROAD, control, 0.2, 5, len(around), np.array(ids), blurred))
-    core = Core(MetaActions(ShieldConfig()))
+    core = DecisionCore(MetaActionPipeline(ShieldConfig()))
     for scene in around:
-        core.decide(scene, Wish(1, control.actions, None))
+        core.decide(scene, MetaActionProposal(1, control.actions, None))
         assert float(core.memory.survey.around.states[0, 0]) == 60.0
 
 
@@ -138,8 +138,8 @@ def test_bounds_shrink_as_the_noise_does(low, times, seed, steps):
             state = np.array([[40.0 + 21.0 * 0.2 * k, 4.0, 21.0, 0.0]])
             # The same draws, relative to the prediction, so that all motions are as likely as under the other noise.
             seen = state + 0.01 * low * drawn[k]
-            tracks = follow(tracks, seen, noise, 0.2, Motions())
-        below, above = sides(tracks, 2.0)
+            tracks = update_tracks(tracks, seen, noise, 0.2, MotionModels())
+        below, above = bounds_of(tracks, 2.0)
         widths.append((above - below)[0])
     assert (widths[0] < widths[1]).all()
 
@@ -160,7 +160,7 @@ def test_a_vehicle_within_the_bounds_is_covered_by_the_body_of_the_scene(seed, c
         seen[1:, 0], seen[1:, 1:3] = 1, [[50.0, 0.0], [-50.0, 4.0]]
         seen[1:, 1:] += sigma * rng.standard_normal((2, 4))
         scene = perception.see(seen, k, control)
-    low, high = sides(perception.tracks, perception.bounds)
+    low, high = bounds_of(perception.tracks, perception.bounds)
     body = perception.spec.body
     for row, below, above in zip(scene.others[scene.ids >= 0], low, high, strict=True):
         shares = rng.random(4)
@@ -197,8 +197,8 @@ def test_the_certificate_holds_for_any_vehicle_within_the_bounds(seed):
         wide = replace(exact, others=rows, ids=ids, blurred=True)
         true = replace(exact, ids=ids)
         for action in range(len(exact.control.actions)):
-            wish = Wish(action, exact.control.actions, None)
-            one, other = (Core(MetaActions(config)).decide(scene, wish) for scene in (wide, true))
+            wish = MetaActionProposal(action, exact.control.actions, None)
+            one, other = (DecisionCore(MetaActionPipeline(config)).decide(scene, wish) for scene in (wide, true))
             if one.tier is Tier.PASSED:
                 verified += 1
                 assert other.tier is Tier.PASSED
@@ -223,8 +223,8 @@ def hemmed(beside, ahead, speed=20.0):
 def test_the_ego_does_not_swerve_into_a_likely_vehicle_beside_it(side, free):
     """With bounds over the whole road the largest margin does not discriminate; the likely places do."""
     scene = hemmed((1.0, side), (9.0, 4.0))
-    frames = Frames(ShieldConfig())
-    decision = Core(frames).decide(scene, Target(1, 30.0))
+    frames = FramePipeline(ShieldConfig())
+    decision = DecisionCore(frames).decide(scene, Target(1, 30.0))
     assert decision.tier is Tier.LARGEST_MARGIN
     assert not decision.tier.verified
     assert decision.margin < 0.0
@@ -238,7 +238,8 @@ def test_the_fallback_uses_the_likely_places_inside_bounds(side, free):
     """No plan clears the bounds. Behind a near leader the ego takes the free lane; for a likely distant one it does
     not brake hardest."""
     near, far = (
-        Core(Frames(ShieldConfig())).decide(hemmed((1.0, side), (gap, 4.0)), Target(1, 30.0)) for gap in (7.0, 40.0)
+        DecisionCore(FramePipeline(ShieldConfig())).decide(hemmed((1.0, side), (gap, 4.0)), Target(1, 30.0))
+        for gap in (7.0, 40.0)
     )
     assert near.tier is far.tier is Tier.LARGEST_MARGIN
     assert near.executed.lane == free
@@ -248,7 +249,7 @@ def test_the_fallback_uses_the_likely_places_inside_bounds(side, free):
 
 def test_a_likely_place_in_the_way_is_braked_for():
     decisions = [
-        Core(Frames(ShieldConfig())).decide(hemmed((1.0, 0.0), (gap, 4.0)), Target(1, 30.0)).executed
+        DecisionCore(FramePipeline(ShieldConfig())).decide(hemmed((1.0, 0.0), (gap, 4.0)), Target(1, 30.0)).executed
         for gap in (6.0, 60.0)
     ]
     assert decisions[0].acceleration < -4.0 or decisions[0].lane == 2
@@ -270,7 +271,7 @@ def test_a_noisy_observation_has_likely_places():
     scenes = ObservedScenes(env)
     scenes.check()
     for _ in range(5):
-        scenes.show(sense(env))
+        scenes.show(observe_now(env))
         scene = scenes.read()
         assert scene.likely is not None
         assert scene.likely.shape == scene.others.shape

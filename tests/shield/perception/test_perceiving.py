@@ -13,7 +13,7 @@ from dynamics.scenes.scene import SceneReader
 from shield import ConfigError, Shield, ShieldConfig, ShieldedEnv
 from shield.decision import Reason
 from shield.perception.perceiving import PerceptionConfig
-from shield.perception.unwrapping import as_shown
+from shield.perception.unwrapping import undo_vec_wrappers
 
 
 def test_full_observations_give_the_decisions_of_the_simulator_s_state():
@@ -62,7 +62,7 @@ def test_normalised_and_stacked_observations_are_undone():
     for _ in range(3):
         seen, *_ = world.step([1])
     base = inner.envs[0].unwrapped
-    shown = as_shown(world, seen)
+    shown = undo_vec_wrappers(world, seen)
     np.testing.assert_allclose(shown[0], base.observation_type.observe(), atol=1e-4)
     world.reset()
     shielded = Shield(Faster(), env=world, perception="observation")

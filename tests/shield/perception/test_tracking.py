@@ -17,10 +17,10 @@ from dynamics.scenes.scene import SceneReader
 from shield import ShieldConfig
 from shield.perception.perceiving import ObservationPerception
 from shield.perception.spec import ObservationSpec
-from shield.perception.tracking import Motions, Tracks, follow, sides
-from shield.pipelines.decide import Core
-from shield.pipelines.meta_actions import MetaActions
-from shield.pipelines.screen import Wish
+from shield.perception.tracking import MotionModels, Tracks, bounds_of, update_tracks
+from shield.pipelines.decide import DecisionCore
+from shield.pipelines.meta_actions import MetaActionPipeline
+from shield.pipelines.screen import MetaActionProposal
 
 
 def test_shuffled_rows_lose_no_vehicle():
@@ -55,7 +55,7 @@ def test_the_order_of_the_rows_changes_nothing(seed):
     rng, base = np.random.default_rng(seed), gym.make("highway-fast-v0").unwrapped
     base.reset(seed=seed)
     reader, config = SceneReader(base), ShieldConfig()
-    cores = [Core(MetaActions(config)), Core(MetaActions(config))]
+    cores = [DecisionCore(MetaActionPipeline(config)), DecisionCore(MetaActionPipeline(config))]
     lost = 0
     for k in range(40):
         scene = reader.read()
@@ -64,7 +64,7 @@ def test_the_order_of_the_rows_changes_nothing(seed):
         seen = np.sort(rng.permutation(many)[: many - (k % 7 == 3)])
         mixed = rng.permutation(seen)
         scenes = [replace(scene, others=scene.others[rows], ids=rows) for rows in (seen, mixed)]
-        wish = Wish(3 if k % 9 else 0, reader.actions, None)
+        wish = MetaActionProposal(3 if k % 9 else 0, reader.actions, None)
         one, other = (core.decide(each, wish) for core, each in zip(cores, scenes, strict=True))
         assert (one.executed, one.tier, one.reason) == (other.executed, other.tier, other.reason)
         assert one.margin == pytest.approx(other.margin, abs=1e-9, nan_ok=True)
@@ -91,7 +91,7 @@ def test_the_filter_is_calibrated():
     tracks, found, outside = Tracks(), [], 0
     for k in range(60):
         seen = truth + rng.multivariate_normal(np.zeros(4), noise, n)
-        tracks = follow(tracks, seen, noise, dt, Motions(a, a, a, cruise=ANY, sideways=1e3))
+        tracks = update_tracks(tracks, seen, noise, dt, MotionModels(a, a, a, cruise=ANY, sideways=1e3))
         if k > 20:
             found.append(tracks.innovation)
             spread = np.sqrt(np.einsum("nii->ni", tracks.covariance))
@@ -114,21 +114,23 @@ def test_the_filter_is_calibrated():
 def test_a_vehicle_that_leaves_is_dropped_and_a_new_one_gets_a_new_number():
     noise = np.eye(4) * 1e-4
     one, two = [0.0, 0.0, 20.0, 0.0], [30.0, 4.0, 20.0, 0.0]
-    tracks = follow(Tracks(), np.array([one, two]), noise, 0.1, Motions())
+    tracks = update_tracks(Tracks(), np.array([one, two]), noise, 0.1, MotionModels())
     assert tracks.ids.tolist() == [1, 2]
-    tracks = follow(tracks, np.array([[33.0, 4.0, 20.0, 0.0]]) - [1.0, 0, 0, 0], noise, 0.1, Motions())
+    tracks = update_tracks(tracks, np.array([[33.0, 4.0, 20.0, 0.0]]) - [1.0, 0, 0, 0], noise, 0.1, MotionModels())
     assert tracks.ids.tolist() == [2]
-    tracks = follow(tracks, np.array([[34.0, 4.0, 20.0, 0.0], [2.0, 0.0, 20.0, 0.0]]), noise, 0.1, Motions())
+    tracks = update_tracks(
+        tracks, np.array([[34.0, 4.0, 20.0, 0.0], [2.0, 0.0, 20.0, 0.0]]), noise, 0.1, MotionModels()
+    )
     assert tracks.ids.tolist() == [2, 3]
 
 
 @given(patience=st.integers(0, 4), gone=st.integers(1, 6))
 def test_a_vehicle_may_be_missing_up_to_the_limit(patience, gone):
     noise, state = np.eye(4) * 0.01, np.array([[0.0, 0.0, 20.0, 0.0]])
-    motions = Motions(cruise=ANY)
-    tracks = follow(Tracks(), state, noise, 0.1, motions, patience)
+    motions = MotionModels(cruise=ANY)
+    tracks = update_tracks(Tracks(), state, noise, 0.1, motions, patience)
     for _ in range(gone):
-        tracks = follow(tracks, np.zeros((0, 4)), noise, 0.1, motions, patience)
+        tracks = update_tracks(tracks, np.zeros((0, 4)), noise, 0.1, motions, patience)
     assert len(tracks.ids) == (gone <= patience)
     if gone <= patience:
         assert tracks.mean[0, 0] == pytest.approx(2.0 * gone)
@@ -138,12 +140,12 @@ def test_the_memory_of_recognised_vehicles_is_that_of_exact_scenes():
     base = gym.make("highway-fast-v0").unwrapped
     base.reset(seed=4)
     reader = SceneReader(base)
-    exact, known = (Core(MetaActions(ShieldConfig())) for _ in range(2))
+    exact, known = (DecisionCore(MetaActionPipeline(ShieldConfig())) for _ in range(2))
     spent = 0.0
     for k in range(30):
         scene = reader.read()
         mixed = np.random.default_rng(k).permutation(len(scene.others))
-        wish = Wish(1, reader.actions, None)
+        wish = MetaActionProposal(1, reader.actions, None)
         exact.decide(scene, wish)
         known.decide(replace(scene, others=scene.others[mixed], ids=mixed), wish)
         one, other = exact.memory.survey.around.tables, known.memory.survey.around.tables
@@ -159,14 +161,14 @@ def test_the_memory_of_recognised_vehicles_is_that_of_exact_scenes():
 def _mistakes(places):
     """Position error of two vehicles 25 m apart in one lane, through noise of 40 m."""
     rng, sigma, dt, found = np.random.default_rng(5), np.array([40.0, 2.4, 16.0, 16.0]), 0.2, []
-    noise, motions = np.diag(sigma**2), Motions(centers=np.array([0.0, 4.0, 8.0]))
+    noise, motions = np.diag(sigma**2), MotionModels(centers=np.array([0.0, 4.0, 8.0]))
     for _ in range(20):
         tracks = Tracks()
         for k in range(50):
             truth = np.array([[30.0, 4.0, 21.0, 0.0], [55.0, 4.0, 21.0, 0.0]])
             truth[:, 0] += 21.0 * k * dt
             seen = truth + rng.normal(0, sigma, (2, 4))
-            tracks = follow(tracks, seen, noise, dt, motions, 3, np.arange(2) if places else None)
+            tracks = update_tracks(tracks, seen, noise, dt, motions, 3, np.arange(2) if places else None)
         if len(tracks.ids) == 2:
             found.append(np.diff(np.sort(tracks.mean[:, 0]))[0] - 25.0)
     return np.sqrt(np.mean(np.square(found)))
@@ -180,10 +182,10 @@ def test_the_speed_of_a_bad_sensor_is_weighed_against_the_prior():
     """A velocity with noise of 16 m/s is less informative than the prior of driving speeds."""
     noise = np.diag(np.square([40.0, 2.4, 16.0, 16.0]))
     seen = np.array([[50.0, 4.0, 40.0, -12.0]])
-    tracks = follow(Tracks(), seen, noise, 0.2, Motions())
+    tracks = update_tracks(Tracks(), seen, noise, 0.2, MotionModels())
     assert abs(tracks.mean[0, 2] - 21.0) < 1.0
     assert abs(tracks.mean[0, 3]) < 0.2
-    exact = follow(Tracks(), seen, np.eye(4) * 1e-8, 0.2, Motions())
+    exact = update_tracks(Tracks(), seen, np.eye(4) * 1e-8, 0.2, MotionModels())
     np.testing.assert_allclose(exact.mean, seen, atol=1e-6)
 
 
@@ -203,7 +205,7 @@ def test_the_sides_of_a_mixture_are_exceeded_as_often_as_they_say(chances, means
         chances=weights[None],
         missed=np.array([0]),
     )
-    low, high = sides(tracks, bound)
+    low, high = bounds_of(tracks, bound)
     for edge, sign in ((low[0, 0], -1), (high[0, 0], 1)):
         beyond = [0.5 * math.erfc(sign * (edge - m) / s / math.sqrt(2)) for m, s in zip(means, spread, strict=True)]
         wanted = 0.5 * math.erfc(bound / math.sqrt(2))

@@ -14,23 +14,23 @@ from shield import ConfigError
 from shield.perception.perceiving import ObservationPerception, PerceptionConfig
 from shield.perception.sighting import decode
 from shield.perception.spec import ObservationSpec
-from shield.perception.unseen import Behind, Unseen, ahead, edges
+from shield.perception.unseen import Unseen, UnseenBehind, edges, unseen_ahead
 
 
 def test_a_slow_vehicle_may_be_beyond_the_last_row_in_every_lane():
     spec = ObservationSpec(rows=3)
     ego, others = np.array([100.0, 4.0, 0.0, 25.0]), np.array([[130.0, 4.0, 0.0, 20.0], [150.0, 8.0, 0.0, 12.0]])
-    states = ahead(spec, 50.0, Unseen(slowest=15.0), ROAD, ego, others)
+    states = unseen_ahead(spec, 50.0, Unseen(slowest=15.0), ROAD, ego, others)
     assert states[:, 0].tolist() == [150.0, 150.0, 155.5, 150.0]
     assert states[:, 1].tolist() == [0.0, 4.0, 8.0, 12.0]
     assert set(states[:, 3].tolist()) == {12.0}
-    assert not len(ahead(spec, spec.distance, Unseen(), ROAD, ego, others))
+    assert not len(unseen_ahead(spec, spec.distance, Unseen(), ROAD, ego, others))
 
 
 @given(st.lists(st.tuples(st.floats(15, 30), st.floats(-3, 3)), min_size=1, max_size=40), st.floats(15, 28))
 def test_a_passed_vehicle_is_never_nearer_than_its_bound(steps, speed):
     """For any motion below the assumed speed, and any motion of the ego."""
-    unseen, behind, nobody = Unseen(), Behind(), np.zeros((0, 3))
+    unseen, behind, nobody = Unseen(), UnseenBehind(), np.zeros((0, 3))
     behind.go_on(unseen, 10.0, 25.0, 0.0, nobody, nobody)
     behind.go_on(unseen, 10.0, 25.0, 0.2, np.array([[-10.5, 4.0, speed]]), nobody)
     place, now = -10.5, speed
@@ -45,7 +45,7 @@ def test_a_passed_vehicle_is_never_nearer_than_its_bound(steps, speed):
 
 
 def test_a_vehicle_back_in_sight_is_no_longer_unseen():
-    unseen, behind, nobody = Unseen(), Behind(), np.zeros((0, 3))
+    unseen, behind, nobody = Unseen(), UnseenBehind(), np.zeros((0, 3))
     behind.go_on(unseen, 10.0, 25.0, 0.0, nobody, nobody)
     behind.go_on(unseen, 10.0, 25.0, 0.2, np.array([[-10.5, 4.0, 24.0], [-11.0, 8.0, 24.0]]), nobody)
     assert len(behind.passed) == 2
@@ -77,7 +77,7 @@ def test_assumptions_about_the_unseen_are_checked(bad):
 
 
 def test_an_unseen_vehicle_approaches_at_its_assumed_limit():
-    unseen, behind, nobody = Unseen(fastest=30.0, room=100.0), Behind(), np.zeros((0, 3))
+    unseen, behind, nobody = Unseen(fastest=30.0, room=100.0), UnseenBehind(), np.zeros((0, 3))
     behind.go_on(unseen, 10.0, 20.0, 0.0, nobody, nobody)
     for _ in range(20):
         behind.go_on(unseen, 10.0, 20.0, 0.2, nobody, nobody)

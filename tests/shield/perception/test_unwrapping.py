@@ -17,7 +17,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvWrapper
 from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 from shield import ConfigError, Known, Shield
 from shield.decision import Reason
-from shield.perception.unwrapping import as_shown, latest
+from shield.perception.unwrapping import latest, undo_vec_wrappers
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,7 @@ def test_a_value_clipped_by_normalisation_is_unknown():
     seen = world.reset()
     for _ in range(3):
         seen, *_ = world.step([1])
-    shown = as_shown(world, seen)
+    shown = undo_vec_wrappers(world, seen)
     assert np.isnan(shown).any()
     np.testing.assert_allclose(shown[~np.isnan(shown)], world.get_original_obs()[~np.isnan(shown)], atol=1e-5)
     shielded = Shield(Actions([3]), env=world, **FRAMELESS)
@@ -73,9 +73,9 @@ def test_images_are_turned_back():
             return picture, {}
 
     world = VecTransposeImage(DummyVecEnv([Camera]))
-    np.testing.assert_array_equal(as_shown(world, world.reset())[0], picture)
+    np.testing.assert_array_equal(undo_vec_wrappers(world, world.reset())[0], picture)
     stacked = VecFrameStack(world, 2)
-    np.testing.assert_array_equal(as_shown(stacked, stacked.reset())[0], picture)
+    np.testing.assert_array_equal(undo_vec_wrappers(stacked, stacked.reset())[0], picture)
 
 
 class Halved(VecEnvWrapper):

@@ -8,7 +8,7 @@ from policies import Always
 
 from shield import Shield, ShieldedEnv
 from shield.perception.perceiving import ObservationPerception
-from shield.perception.vanished import Vanished
+from shield.perception.vanished import VanishedVehicles
 
 ROWS = {"type": "Kinematics", "vehicles_count": 15, "see_behind": True}
 
@@ -120,7 +120,7 @@ def test_an_empty_road_has_no_full_guarantee():
 
 def test_a_vanished_vehicle_may_be_anywhere_in_its_reachable_interval():
     """Until it is shown again, or may have left sight."""
-    vanished, nobody = Vanished(), np.zeros((0, 2))
+    vanished, nobody = VanishedVehicles(), np.zeros((0, 2))
     vanished.go_on(np.array([[30.0, 4.0, 20.0]]), nobody, 0.0, (200.0, 200.0), 0.2)
     for _ in range(5):
         vanished.go_on(np.zeros((0, 3)), nobody, 0.0, (200.0, 200.0), 0.2)

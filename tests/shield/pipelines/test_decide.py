@@ -17,8 +17,8 @@ from slowly import later
 from evaluation.policies import load_reference
 from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.config import WORST_CASE
-from shield.filters.meta_actions import MetaDoor
-from shield.pipelines.decide import Core, decide
+from shield.filters.meta_actions import MetaActionFilter
+from shield.pipelines.decide import DecisionCore, decide
 
 DENSE = {"vehicles_density": 1.5}
 CONTINUOUS = {"action": {"type": "ContinuousAction"}}
@@ -65,7 +65,7 @@ CASES = {
 def recorded(case, count, monkeypatch):
     """Decisions as (memory, scene, proposal, procedure), and their results."""
     env, policy, again = case()
-    found, own = [], Core.decide
+    found, own = [], DecisionCore.decide
 
     def record(self, scene, proposal, procedure=None):
         memory, used = self.memory, procedure or self.procedure
@@ -76,7 +76,7 @@ def recorded(case, count, monkeypatch):
         found.append(((memory, scene, proposal), type(used).__name__, decision, self.memory))
         return decision
 
-    monkeypatch.setattr(Core, "decide", record)
+    monkeypatch.setattr(DecisionCore, "decide", record)
     seed = 0
     while len(found) < count:
         obs, _ = env.reset(seed=seed)
@@ -92,7 +92,9 @@ def recorded(case, count, monkeypatch):
 def procedures(shielded):
     """The procedures of a filter, by name."""
     doors = shielded._doors if isinstance(shielded, Shield) else [shielded._door]
-    kinds = [door.core.procedure for door in doors] + [door._frames for door in doors if isinstance(door, MetaDoor)]
+    kinds = [door.core.procedure for door in doors] + [
+        door._frames for door in doors if isinstance(door, MetaActionFilter)
+    ]
     return {type(each).__name__: each for each in kinds}
 
 

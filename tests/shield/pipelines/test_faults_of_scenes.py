@@ -122,7 +122,7 @@ def nan_stage(request, monkeypatch):
     if request.param == "rollouts":
         break_rollouts(monkeypatch)
     else:
-        monkeypatch.setattr(verify, "judged", nowhere(verify.judged))
+        monkeypatch.setattr(verify, "evaluate_paths", nowhere(verify.evaluate_paths))
 
 
 @pytest.mark.parametrize("seed", range(3))

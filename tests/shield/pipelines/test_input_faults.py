@@ -17,7 +17,7 @@ from dynamics.vehicle.actuators import Actuators
 from dynamics.vehicle.rollouts import Rollouts
 from mpc.filter.predictive_filter import PredictiveFilter
 from shield import Reason, Shield, ShieldConfig, ShieldedEnv, Tier
-from shield.alternatives.nearest_input import Search
+from shield.alternatives.nearest_input import NearestInputSearch
 from shield.certificate.road import verify
 from shield.errors import ConfigError, SceneError
 
@@ -234,7 +234,9 @@ def test_a_stage_that_raises_is_labelled_and_the_next_step_is_clean(stage, monke
     with monkeypatch.context() as patch, Actions(env) as actions:
         patch.setattr(*stage, raising)
         if stage[0] is PredictiveFilter:  # The plan is needed where the search finds nothing.
-            patch.setattr(Search, "run", lambda self, lanes, *_: self._judge(self._proposal[None], lanes, False))
+            patch.setattr(
+                NearestInputSearch, "run", lambda self, lanes, *_: self._judge(self._proposal[None], lanes, False)
+            )
         for _ in range(60):
             frames, called = len(actions.seen), len(calls)
             *_, terminated, _, info = env.step(FULL)

@@ -11,7 +11,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from lot_world import DT, Driver, advance, clearance_of, random_lot
 
-from dynamics.scenes.parking_lot import Lot
+from dynamics.scenes.parking_lot import ParkingScene
 from dynamics.state import State
 from dynamics.vehicle.actuators import Actuators
 from shield import Reason, ShieldConfig, Tier
@@ -20,7 +20,7 @@ from shield.errors import ConfigError
 SEEDS, STYLES = st.integers(0, 2**32 - 1), st.sampled_from(Driver.STYLES)
 CLEARANCE = st.sampled_from([0.01, 0.1, 0.5])
 ACTUATORS = Actuators()
-OPEN = Lot(np.array([0.0, 0, 0, 0, 5, 2]), np.array([[20.0, 0, np.pi / 2, 0, 4000, 1]]), DT)
+OPEN = ParkingScene(np.array([0.0, 0, 0, 0, 5, 2]), np.array([[20.0, 0, np.pi / 2, 0, 4000, 1]]), DT)
 WALL_AT = 19.5 - 2.5
 """Where the ego's centre is when its front touches the wall of `OPEN` [m]."""
 
@@ -281,5 +281,5 @@ def test_the_repair_does_not_steer_without_a_steering_input():
 def test_nothing_verifies_in_a_parking_lot_within_the_clearance():
     """At rest, 3 cm nearer to a wall ahead and to one behind than it should be."""
     walls = np.array([[4.07 * i, 0.0, np.pi / 2, 0.0, 40.0, 3.0] for i in (-1, 1)])
-    lot = Lot(np.array([0.0, 0, 0, 0, 5, 2]), walls, DT)
+    lot = ParkingScene(np.array([0.0, 0, 0, 0, 5, 2]), walls, DT)
     assert not LotCore().filter(lot, np.array([1.0, 0.0]))[1].tier.verified

@@ -11,14 +11,14 @@ from slowly import later
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from dynamics.errors import SceneError
-from dynamics.scenes.parking_lot import Lot, LotReader
+from dynamics.scenes.parking_lot import ParkingScene, ParkingSceneReader
 from evaluation.running.episodes import run_episode
 from evaluation.running.records import make_variants
 from evaluation.settings import SETTINGS, get_setting
 from mpc.cem_policy import CEMPolicy
 from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.errors import ConfigError
-from shield.pipelines.parking_lot import ParkingLot
+from shield.pipelines.parking_lot import ParkingLotPipeline
 
 FULL = np.array([1.0, 0.0], dtype=np.float32)
 SHORT = replace(get_setting("parking-parked"), config={"vehicles_count": 10, "duration": 6})
@@ -144,7 +144,7 @@ def test_a_reader_that_raises_stops_it_either_way_and_not_beyond(error, way, mon
     for _ in range(4):
         env.step(way * FULL)
     with monkeypatch.context() as patch:
-        patch.setattr(LotReader, "read", lambda self: (_ for _ in ()).throw(error))
+        patch.setattr(ParkingSceneReader, "read", lambda self: (_ for _ in ()).throw(error))
         for _ in range(5):
             *_, info = env.step(way * FULL)
             assert info["shield"]["tier"] == "emergency"
@@ -158,7 +158,7 @@ def test_a_stage_that_breaks_brakes(monkeypatch):
     env = lot_env()
     for _ in range(4):
         env.step(FULL)
-    monkeypatch.setattr(ParkingLot, "judge", lambda *_: (_ for _ in ()).throw(ZeroDivisionError()))
+    monkeypatch.setattr(ParkingLotPipeline, "judge", lambda *_: (_ for _ in ()).throw(ZeroDivisionError()))
     before = env.unwrapped.vehicle.speed
     *_, info = env.step(FULL)
     assert info["shield"]["reason"] == "stage_failed"
@@ -233,7 +233,7 @@ def test_actions_without_a_brake_are_refused_unless_every_frame_is_supervised():
 
 def test_the_lot_of_a_shielded_environment_is_that_of_the_simulator():
     env = lot_env(seed=5)
-    assert len(Lot.from_env(env).obstacles) == 14
+    assert len(ParkingScene.from_env(env).obstacles) == 14
 
 
 def test_parking_is_compared_with_and_without_the_shield_by_default():

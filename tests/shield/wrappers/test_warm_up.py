@@ -169,7 +169,7 @@ def test_reading_kernels_or_a_short_compilation_is_not_announced(slow_machine, m
 def test_one_of_two_compiling_processes_makes_the_announcement(slow_machine, caplog):
     """The workers of `shield evaluate` once printed it twice. (A lock belongs to an open file: one process can hold
     two.)"""
-    other = compiling._only_speaker()
+    other = compiling._progress_lock()
     assert other is not None
     for spoken, lock in ((0, other), (1, nullcontext())):
         with lock, caplog.at_level(logging.WARNING, "shield"), compiling.announced("a part"):

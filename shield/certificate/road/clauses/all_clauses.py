@@ -9,36 +9,36 @@ import math
 
 import numpy as np
 
-from dynamics.compiled import compiled, inlined, numbers_of, uncounted
+from dynamics.compiled import compiled, kernel_inline, kernel_no_refcount, row_as_tuple
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.state import Vehicle as Columns
 from dynamics.traffic.occupancy_kernels import front_of, rear_of
 from dynamics.traffic.tables import bodies_of, motion_of
 from shield.certificate.road.clauses.cut_in import (
-    anybody,
-    least_separations_of_slips,
-    slips_of,
+    any_cut_in,
+    cut_in_separations,
+    cut_ins_of,
     sweeps,
 )
-from shield.certificate.road.clauses.entering import joins, leaves_sight, sides_taken
-from shield.certificate.road.clauses.followers import threats
+from shield.certificate.road.clauses.entering import joins, lateral_extents, leaves_sight
+from shield.certificate.road.clauses.followers import find_unobligated
 from shield.certificate.road.clauses.footprint import Footprint
-from shield.certificate.road.clauses.others import others_from
-from shield.certificate.road.clauses.parameters import Settings, duty_of, settings_from
-from shield.certificate.road.clauses.separation import Vehicle, extents, separation, turns
+from shield.certificate.road.clauses.others import vehicles_from
+from shield.certificate.road.clauses.parameters import ClauseSettings, follower_response_of, settings_from
+from shield.certificate.road.clauses.separation import UnobligatedVehicle, extents, separation, turns
 from shield.certificate.road.clauses.stopping_room import margin_of, room_of
-from shield.certificate.road.clauses.workspace import Around, Desk, Ground, new_desk
+from shield.certificate.road.clauses.workspace import ClauseWorkspace, LaneState, SceneVehicles, new_clause_workspace
 
 __all__ = [
+    "CUT_IN_BINDS",
     "NOTHING_BINDS",
     "ROOM_BINDS",
     "SEPARATION_BINDS",
-    "SLIP_IN_BINDS",
-    "judge",
-    "judged",
+    "evaluate_path",
+    "evaluate_paths",
 ]
 
-NOTHING_BINDS, SEPARATION_BINDS, SLIP_IN_BINDS, ROOM_BINDS = 0, 1, 2, 3
+NOTHING_BINDS, SEPARATION_BINDS, CUT_IN_BINDS, ROOM_BINDS = 0, 1, 2, 3
 """Codes of the binding clause."""
 
 
@@ -47,9 +47,16 @@ _AHEAD = 3
 """Frames computed beyond those needed, since the next path may be slightly longer."""
 
 
-@inlined
+@kernel_inline
 def _rears(
-    desk: Desk, count: int, frames: int, around: Around, hold: int, rows: IntArray, out: FloatArray, last: bool
+    desk: ClauseWorkspace,
+    count: int,
+    frames: int,
+    around: SceneVehicles,
+    hold: int,
+    rows: IntArray,
+    out: FloatArray,
+    last: bool,
 ) -> None:
     """Write the least s of the first `count` vehicles of `rows` to `out`, (count, K) [m].
 
@@ -70,28 +77,34 @@ def _rears(
             out[n, frames - 1] = min(out[n, frames - 1], bodies.floor[j] - bodies.reach[j])
 
 
-@inlined
+@kernel_inline
 def _separations(
     path: FloatArray,
     lane: int,
     fail: int,
     r: float,
     foot: Footprint,
-    ground: Ground,
-    around: Around,
+    ground: LaneState,
+    around: SceneVehicles,
     q: int,
-    x: Settings,
+    x: ClauseSettings,
     hold: int,
-    desk: Desk,
+    desk: ClauseWorkspace,
 ) -> int:
     """Write the least separation of a path from each of the first `q` vehicles of `desk.near`, which have no distance
     obligation, to `desk.apart` [m]. `r` is the lateral position of the ego now [m]. Return the number of frames before
     the first negative separation."""
     frames, near, visible, home, found = path.shape[0], desk.near, ground.visible, desk.home, desk.apart
-    others, centers, duty, low, high = around.others, ground.centers, duty_of(x, hold), desk.sides[0], desk.sides[1]
+    others, centers, duty, low, high = (
+        around.others,
+        ground.centers,
+        follower_response_of(x, hold),
+        desk.sides[0],
+        desk.sides[1],
+    )
     since = frames, frames
     if x.blind > 0 and hold == 0:
-        sides_taken(lane, fail, near[:q], others, around.rows[:, _WIDTH], centers, x.waver, low, high, home)
+        lateral_extents(lane, fail, near[:q], others, around.rows[:, _WIDTH], centers, x.waver, low, high, home)
         since = leaves_sight(r, path, centers[lane], x.seen), leaves_sight(r, path, centers[fail], x.seen)
     else:
         for j in range(q):
@@ -124,7 +137,7 @@ def _separations(
         if already > 0:
             at_once = max(duty.reaction + 1 - already, 0)
         most = stretch[1, k] if stretch.shape[1] > 0 else 1.0
-        other = Vehicle(
+        other = UnobligatedVehicle(
             left, right, most_left, most_right, later, length, others.behind[k], goal, at_once, v, s + length, most
         )
         found[j], first = separation(
@@ -134,17 +147,17 @@ def _separations(
     return reached
 
 
-@inlined
+@kernel_inline
 def _slips(
     path: FloatArray,
     foot: Footprint,
     centers: FloatArray,
     table: FloatArray,
     ignored: BoolArray,
-    around: Around,
+    around: SceneVehicles,
     found: FloatArray,
-    x: Settings,
-    desk: Desk,
+    x: ClauseSettings,
+    desk: ClauseWorkspace,
 ) -> None:
     """Write the least separation of a path from each candidate for a cut-in, a row of `found`, to `desk.away` [m]; +inf
     where it does not cut in."""
@@ -155,8 +168,10 @@ def _slips(
         return
     rows, numbers = desk.slipping[:c], desk.slips
     bodies, states = around.bodies, around.states
-    slips = slips_of(found, states, bodies, centers, x.acceleration, x.hardest, rows, numbers[:4, :c], numbers[4:6, :c])
-    if not anybody(path, slips, centers, x.seen, x.dt):
+    slips = cut_ins_of(
+        found, states, bodies, centers, x.acceleration, x.hardest, rows, numbers[:4, :c], numbers[4:6, :c]
+    )
+    if not any_cut_in(path, slips, centers, x.seen, x.dt):
         return
     # None of the requested frames stands for all frames that follow.
     rear, front, sweep = desk.ways[0, :c], desk.ways[1, :c], desk.sweep[:c]
@@ -167,15 +182,15 @@ def _slips(
             front_of(rows[k], states, around.stretch, around.motion, bodies, 0, enough, front[k])
         sweeps(rows, slips, around.rows, states, bodies, table, x.dt, desk.turns[:c], sweep)
         desk.swept[0] = enough
-    least_separations_of_slips(path, foot, slips, rear, front, sweep, centers, x.seen, x.dt, out)
+    cut_in_separations(path, foot, slips, rear, front, sweep, centers, x.seen, x.dt, out)
     if ignored.shape[0] > 0:
         for k in range(c):
             if ignored[rows[k]]:
                 out[k] = np.inf
 
 
-@inlined
-def _binding(margin: float, q: int, c: int, slips: FloatArray, desk: Desk) -> tuple[int, int]:
+@kernel_inline
+def _binding(margin: float, q: int, c: int, slips: FloatArray, desk: ClauseWorkspace) -> tuple[int, int]:
     """The binding clause of a margin, and the row of the binding vehicle."""
     least, at = np.inf, -1
     for j in range(q):
@@ -188,25 +203,25 @@ def _binding(margin: float, q: int, c: int, slips: FloatArray, desk: Desk) -> tu
         if at < 0 or desk.away[k] < least:
             least, at = desk.away[k], k
     if at >= 0 and least <= margin:
-        return SLIP_IN_BINDS, int(slips[at, 0])
+        return CUT_IN_BINDS, int(slips[at, 0])
     return (NOTHING_BINDS if margin == np.inf else ROOM_BINDS), -1
 
 
-@inlined
-def judge(
+@kernel_inline
+def evaluate_path(
     path: FloatArray,
     lane: int,
     fail: int,
     state: FloatArray,
     foot: Footprint,
-    x: Settings,
+    x: ClauseSettings,
     table: FloatArray,
     hold: int,
-    ground: Ground,
+    ground: LaneState,
     ignored: BoolArray,
-    around: Around,
+    around: SceneVehicles,
     slipping: FloatArray,
-    desk: Desk,
+    desk: ClauseWorkspace,
 ) -> tuple[float, int, int, int]:
     """Evaluate the clauses for one path.
 
@@ -217,7 +232,7 @@ def judge(
     slipping : candidates for a cut-in, (c, 4), see `may_slip`.
     desk : workspace, with the sine and cosine of the path's headings in `turned`. Written: the vehicles in reach,
         `near`; the separations from them, `apart`; those from cut-ins, `away`; and the room, `room`.
-    table, hold, ground, ignored, around : as in `judged`.
+    table, hold, ground, ignored, around : as in `evaluate_paths`.
 
     Returns
     -------
@@ -229,7 +244,7 @@ def judge(
     way = path[frames - 1, 0] - state[0]
     # A distance that is not a number excludes no vehicle.
     reach = (way if way == way else np.inf, x.perception)
-    q = threats(others, reach, lane, fail, ground.owned, centers, state, path, desk.turned, foot, desk.near)
+    q = find_unobligated(others, reach, lane, fail, ground.owned, centers, state, path, desk.turned, foot, desk.near)
     if ignored.shape[0] > 0:
         kept = 0
         for j in range(q):
@@ -252,7 +267,7 @@ def judge(
     return margin, reached, clause, vehicle
 
 
-@uncounted
+@kernel_no_refcount
 def _judge_each(
     paths: FloatArray,
     lanes: IntArray,
@@ -277,20 +292,20 @@ def _judge_each(
     of_others: FloatArray,
     flags: BoolArray,
     slipping: FloatArray,
-    desk: Desk,
+    desk: ClauseWorkspace,
     found: FloatArray,
     marked: IntArray,
     near: BoolArray,
 ) -> None:
-    """Fill in the arrays of `judged`: `found` (2 + m + c, n), `marked` (3, n), and `near` (m,), the vehicles in reach
-    of any path."""
-    m, x, foot = states.shape[0], settings_from(settings), Footprint(*numbers_of(size, 8))
+    """Fill in the arrays of `evaluate_paths`: `found` (2 + m + c, n), `marked` (3, n), and `near` (m,), the vehicles
+    in reach of any path."""
+    m, x, foot = states.shape[0], settings_from(settings), Footprint(*row_as_tuple(size, 8))
     bodies = bodies_of(marks, numbers, brakes, recent)
-    around = Around(rows, states, stretch, bodies, motion_of(motion), others_from(bodies, of_others, flags))
-    ground = Ground(centers, owned, visible)
+    around = SceneVehicles(rows, states, stretch, bodies, motion_of(motion), vehicles_from(bodies, of_others, flags))
+    ground = LaneState(centers, owned, visible)
     for i in range(paths.shape[0]):
         turns(paths[i], desk.turned)
-        margin, reached, clause, vehicle = judge(
+        margin, reached, clause, vehicle = evaluate_path(
             paths[i], lanes[i], fails[i], state, foot, x, table, hold, ground, ignored, around, slipping, desk
         )
         found[0, i], found[1, i] = margin, desk.room[0]
@@ -303,7 +318,7 @@ def _judge_each(
 
 
 @compiled
-def judged(
+def evaluate_paths(
     paths: FloatArray,
     lanes: IntArray,
     fails: IntArray,
@@ -336,7 +351,7 @@ def judged(
     lanes, fails : lanes that each path commits to and stops in, (n,).
     state, size : road state of the ego, (4,), and the numbers of its `Footprint`, (8,).
     centers : lateral positions of the lane centres, (lanes,) [m].
-    settings, motion : the numbers of `Settings` and of `Motion`.
+    settings, motion : the numbers of `ClauseSettings` and of `Motion`.
     table : of the road, see `dynamics.vehicle.rollout_kernels`.
     hold : number of frames of constant speed that are expected of the others. If above 0, the result is a forecast and
         not a bound.
@@ -344,7 +359,7 @@ def judged(
         (lanes,).
     ignored : vehicles to leave out, (m,) bool; empty for none.
     rows, states, marks, numbers, brakes, recent, of_others, flags, slipping : the other vehicles, see
-        `shield.certificate.road.clauses.scene.seen`.
+        `shield.certificate.road.clauses.scene.prepare_scene`.
     stretch : distance along the road for each metre driven, (2, m), or (2, 0) on a straight road.
 
     Returns
@@ -356,7 +371,7 @@ def judged(
     """
     n, frames, m = paths.shape[0], paths.shape[1], states.shape[0]
     c = slipping.shape[0] if hold == 0 else 0
-    desk, near = new_desk(m, frames, settings[15]), np.zeros(m, np.bool_)
+    desk, near = new_clause_workspace(m, frames, settings[15]), np.zeros(m, np.bool_)
     found, marked = np.full((2 + m + c, n), np.inf), np.empty((3, n), np.intp)
     scene = (state, size, centers, settings, motion, table, hold, owned, visible, ignored)
     others = (rows, states, stretch, marks, numbers, brakes, recent, of_others, flags, slipping)

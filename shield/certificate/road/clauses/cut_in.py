@@ -22,14 +22,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.state import FloatArray, IntArray
 from dynamics.traffic.mobil import COMFORT, IMPOSED, TIME, TWICE_ROOT, desired_gap
 from dynamics.traffic.tables import Bodies
 from dynamics.vehicle.rollout_kernels import roll_stop
 from shield.certificate.road.clauses.footprint import Footprint
 
-__all__ = ["LASTS", "Slips", "anybody", "least_separations_of_slips", "may_slip", "slips_of", "sweeps"]
+__all__ = ["CUT_IN_DURATION", "CutIns", "any_cut_in", "cut_in_separations", "cut_ins_of", "find_cut_ins", "sweeps"]
 
 _SLACK, _HARDLY = 3.0, 0.5
 """Tolerance on d* when the lane change starts [m]; the second is that for d* of the ego, since its plan is known."""
@@ -47,14 +47,14 @@ _BRAKES = 1.0
 """Upper bound on the time for which a candidate for a cut-in and its leader have braked by then [s]."""
 _NEAR = 60.0
 """Distance along the road beyond which vehicles are not considered [m]."""
-LASTS = 1.0
+CUT_IN_DURATION = 1.0
 """Time within which the vehicle has reached the other lane [s]."""
 _CENTRED = 0.2
 """Distance from its lane's centre within which the ego counts as keeping its lane: a vehicle that cuts in has to leave
 it the room [m]."""
 
 
-class Slips(NamedTuple):
+class CutIns(NamedTuple):
     """Vehicles that may cut in.
 
     Attributes
@@ -75,7 +75,7 @@ class Slips(NamedTuple):
     braking: float
 
 
-@inlined
+@kernel_inline
 def _blocked(v: float, speed: float, gap: float, braking: float) -> tuple[float, float]:
     """Ratio of d* to the gap to a leader: the greatest possible, and the present one."""
     closing = v - speed + braking * _BRAKES
@@ -83,7 +83,7 @@ def _blocked(v: float, speed: float, gap: float, braking: float) -> tuple[float,
     return max(desired_gap(v, closing), 0.0) / left, max(desired_gap(v, v - speed), 0.0) / max(gap, 1.0)
 
 
-@inlined
+@kernel_inline
 def _held_up(j: int, states: FloatArray, center: float, sight: float, braking: float) -> tuple[float, float]:
     """The same for the vehicle that restrains vehicle `j` most in the lane with this centre [m]: the next one ahead in
     the lane, or one that is on its way there."""
@@ -106,8 +106,8 @@ def _held_up(j: int, states: FloatArray, center: float, sight: float, braking: f
     return worst, now
 
 
-@uncounted
-def may_slip(
+@kernel_no_refcount
+def find_cut_ins(
     others: FloatArray,
     states: FloatArray,
     bodies: Bodies,
@@ -148,8 +148,8 @@ def may_slip(
     return count
 
 
-@uncounted
-def slips_of(
+@kernel_no_refcount
+def cut_ins_of(
     found: FloatArray,
     states: FloatArray,
     bodies: Bodies,
@@ -159,21 +159,21 @@ def slips_of(
     rows: IntArray,
     numbers: FloatArray,
     ratios: FloatArray,
-) -> Slips:
-    """The tuple `Slips` of the vehicles that `may_slip` has found, (n, 4). Written: their `rows` (n,), and the buffers
-    `numbers` (4, n) and `ratios` (2, n)."""
+) -> CutIns:
+    """The tuple `CutIns` of the vehicles that `find_cut_ins` has found, (n, 4). Written: their `rows` (n,), and the
+    buffers `numbers` (4, n) and `ratios` (2, n)."""
     for k in range(found.shape[0]):
         j = rows[k] = int(found[k, 0])
         numbers[0, k], numbers[1, k] = states[j, 0], states[j, 3]
         numbers[2, k], numbers[3, k] = centers[int(found[k, 1])], bodies.reach[j]
         ratios[0, k], ratios[1, k] = found[k, 2], found[k, 3]
-    return Slips(numbers[0], numbers[1], numbers[2], ratios, numbers[3], gain, braking)
+    return CutIns(numbers[0], numbers[1], numbers[2], ratios, numbers[3], gain, braking)
 
 
-@uncounted
+@kernel_no_refcount
 def sweeps(
     rows: IntArray,
-    slips: Slips,
+    slips: CutIns,
     others: FloatArray,
     states: FloatArray,
     bodies: Bodies,
@@ -204,9 +204,9 @@ def sweeps(
             out[k, f, 0], out[k, f, 1] = low, high
 
 
-@inlined
+@kernel_inline
 def _begins(
-    s: float, r: float, u: float, k: int, j: int, slips: Slips, sight: float, dt: float
+    s: float, r: float, u: float, k: int, j: int, slips: CutIns, sight: float, dt: float
 ) -> tuple[bool, bool, bool]:
     """Whether vehicle `j` may begin to cut in at frame k of a path; whether it may if it is restrained as it is now;
     and whether the ego is ahead of it.
@@ -228,7 +228,7 @@ def _begins(
     return may, seen and min(wanted, desired_gap(slow, slow - u)) <= at_once and wanted >= -at_once, True
 
 
-@inlined
+@kernel_inline
 def _offset(r: float, centers: FloatArray) -> float:
     """Distance from the nearest lane's centre [m]."""
     offset = np.inf
@@ -237,9 +237,9 @@ def _offset(r: float, centers: FloatArray) -> float:
     return offset
 
 
-@uncounted
-def anybody(path: FloatArray, slips: Slips, centers: FloatArray, sight: float, dt: float) -> bool:
-    """Whether any vehicle may cut in where `least_separations_of_slips` considers it, or the path (K, 4) is not
+@kernel_no_refcount
+def any_cut_in(path: FloatArray, slips: CutIns, centers: FloatArray, sight: float, dt: float) -> bool:
+    """Whether any vehicle may cut in where `cut_in_separations` considers it, or the path (K, 4) is not
     finite."""
     for j in range(slips.goals.shape[0]):
         began = False
@@ -254,11 +254,11 @@ def anybody(path: FloatArray, slips: Slips, centers: FloatArray, sight: float, d
     return False
 
 
-@uncounted
-def least_separations_of_slips(
+@kernel_no_refcount
+def cut_in_separations(
     path: FloatArray,
     size: Footprint,
-    slips: Slips,
+    slips: CutIns,
     rear: FloatArray,
     front: FloatArray,
     sweep: FloatArray,

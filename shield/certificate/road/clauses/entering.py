@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import math
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.vehicle.controllers import KP_HEADING, KP_LATERAL
-from shield.certificate.road.clauses.others import Others
+from shield.certificate.road.clauses.others import RoadVehicles
 
-__all__ = ["entrants", "is_beside", "joins", "leaves_sight", "neighbours", "sides_taken"]
+__all__ = ["is_beside", "joins", "lateral_extents", "leaves_sight", "mark_entrants", "neighbours"]
 
 _TURNING = 0.25
 """Lateral speed from which a vehicle counts as changing lanes, beyond the lateral speed of one that settles in its lane
 [m/s]."""
 
 
-@inlined
+@kernel_inline
 def is_beside(low: float, high: float, goal: float, width: float) -> bool:
     """Whether the band from `low` to `high` ends less than a lane's `width` from a lane's centre, `goal` [m]."""
     return 0 < max(low - goal, goal - high) < width
 
 
-@inlined
+@kernel_inline
 def leaves_sight(r: float, path: FloatArray, goal: float, sight: float) -> int:
     """First frame of a path (K, 4) in which the ego is no longer visible in a lane where it has been; K if there is
     none. From then on, any vehicle beside that lane may enter it.
@@ -39,9 +39,9 @@ def leaves_sight(r: float, path: FloatArray, goal: float, sight: float) -> int:
     return path.shape[0]
 
 
-@uncounted
+@kernel_no_refcount
 def neighbours(
-    others: Others,
+    others: RoadVehicles,
     centers: FloatArray,
     width: float,
     before: BoolArray,
@@ -50,7 +50,7 @@ def neighbours(
     asked: BoolArray,
 ) -> None:
     """For each vehicle, fill in `others.beside`, the lanes beside its band; and `asked`, (v, 2), whether it matters if
-    it gains by a change into the lane below its own, and above. The rest as in `entrants`."""
+    it gains by a change into the lane below its own, and above. The rest as in `mark_entrants`."""
     low, high, lane, besides = others.low, others.high, others.lane, others.beside
     n, v = centers.shape[0], others.lane.shape[0]
     known = before.shape[0] == n and before.shape[1] == v
@@ -64,9 +64,9 @@ def neighbours(
                 asked[j, 1 if centers[k] > high[j] else 0] = True
 
 
-@uncounted
-def entrants(
-    others: Others,
+@kernel_no_refcount
+def mark_entrants(
+    others: RoadVehicles,
     gains: BoolArray,
     centers: FloatArray,
     before: BoolArray,
@@ -86,7 +86,7 @@ def entrants(
     Parameters
     ----------
     others : the vehicles, (v,).
-    gains : see `dynamics.traffic.mobil.gains`, (v, 2) bool; valid where `neighbours` has set `asked`.
+    gains : see `dynamics.traffic.mobil.lane_change_incentives`, (v, 2) bool; valid where `neighbours` has set `asked`.
     centers : of the lanes [m].
     before : `others.comes` of the scene before, (lanes, v); of another shape if there was none.
     visible : number of frames for which the ego has been visible in each lane, (lanes,).
@@ -115,12 +115,12 @@ def entrants(
             comes[k, j] = may
 
 
-@inlined
-def sides_taken(
+@kernel_inline
+def lateral_extents(
     lane: int,
     fail: int,
     rows: IntArray,
-    others: Others,
+    others: RoadVehicles,
     widths: FloatArray,
     centers: FloatArray,
     waver: float,
@@ -157,7 +157,7 @@ def sides_taken(
             home[j] = entered
 
 
-@inlined
+@kernel_inline
 def joins(low: float, high: float, goal: float, core: float, width: float) -> tuple[float, float]:
     """Lateral extents of a vehicle with the band from `low` to `high` [m], once the ego is no longer visible in the
     lane with the centre `goal`. If the band is beside that lane, the vehicle may be there too, within `core` of its

@@ -7,17 +7,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import compiled, inlined, uncounted
+from dynamics.compiled import compiled, kernel_inline, kernel_no_refcount
 from dynamics.roads.straight import nearest
 from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
-from dynamics.traffic.mobil import gains
-from dynamics.traffic.rules_of_the_road import Ego, gap_between
+from dynamics.traffic.mobil import lane_change_incentives
+from dynamics.traffic.rules_of_the_road import EgoFootprint, gap_between
 from dynamics.traffic.tables import Bodies
-from shield.certificate.road.clauses.entering import entrants, neighbours
+from shield.certificate.road.clauses.entering import mark_entrants, neighbours
 from shield.certificate.road.clauses.footprint import Footprint, across_of, reach_across, reach_along
-from shield.certificate.road.clauses.others import TOUCH, Others
+from shield.certificate.road.clauses.others import TOUCH, RoadVehicles
 
-__all__ = ["Sight", "Standing", "counted_on", "hold_lanes", "in_reach", "lanes_held", "others_of", "threats"]
+__all__ = [
+    "EgoInScene",
+    "VisibilityParameters",
+    "fill_vehicles",
+    "find_unobligated",
+    "in_reach",
+    "mark_relied_on",
+    "update_lanes",
+    "updated_lanes",
+]
 
 _LENGTH, _WIDTH = int(Vehicle.LENGTH), int(Vehicle.WIDTH)
 _LONG = 10**6
@@ -32,7 +41,7 @@ _CORNER = 0.5
 """Greatest distance by which a corner of a follower may come beside a corner of the ego's buffer [m]."""
 
 
-class Sight(NamedTuple):
+class VisibilityParameters(NamedTuple):
     """Parameters of visibility: when a vehicle sees the ego, and when it may still enter a lane.
 
     Attributes
@@ -52,8 +61,8 @@ class Sight(NamedTuple):
     width: float
 
 
-@inlined
-def in_reach(others: Others, limits: tuple[float, float], followers: bool, rows: IntArray) -> int:
+@kernel_inline
+def in_reach(others: RoadVehicles, limits: tuple[float, float], followers: bool, rows: IntArray) -> int:
     """Number of vehicles that can come into reach of the ego; their rows are written to the beginning of `rows`, (v,),
     in order.
 
@@ -78,7 +87,7 @@ def in_reach(others: Others, limits: tuple[float, float], followers: bool, rows:
     return count
 
 
-@inlined
+@kernel_inline
 def _comes_back(
     state: FloatArray, path: FloatArray, turned: FloatArray, size: Footprint, low: float, high: float
 ) -> bool:
@@ -103,9 +112,9 @@ def _comes_back(
     return False
 
 
-@inlined
-def threats(
-    others: Others,
+@kernel_inline
+def find_unobligated(
+    others: RoadVehicles,
     limits: tuple[float, float],
     lane: int,
     fail: int,
@@ -154,9 +163,9 @@ def threats(
     return count
 
 
-@uncounted
-def counted_on(
-    others: Others,
+@kernel_no_refcount
+def mark_relied_on(
+    others: RoadVehicles,
     state: FloatArray,
     size: Footprint,
     centers: FloatArray,
@@ -191,8 +200,8 @@ def counted_on(
         counted[j] = before[0][j] and near and not (keeps and before[1][j] and others.held[j] and reaches)
 
 
-@uncounted
-def hold_lanes(
+@kernel_no_refcount
+def update_lanes(
     r: float,
     centers: FloatArray,
     frames: int,
@@ -235,7 +244,7 @@ def hold_lanes(
 
 
 @compiled
-def lanes_held(
+def updated_lanes(
     r: float,
     centers: FloatArray,
     frames: int,
@@ -248,7 +257,7 @@ def lanes_held(
     owing: BoolArray,
     coming: BoolArray,
 ) -> tuple[IntArray, BoolArray, BoolArray]:
-    """`hold_lanes` with new arrays. In the first scene `visible` and `owned` are empty; `coming` may have any other
+    """`update_lanes` with new arrays. In the first scene `visible` and `owned` are empty; `coming` may have any other
     shape if there is none."""
     n, first = centers.shape[0], visible.shape[0] != centers.shape[0]
     seen, own, comes = np.zeros(n, np.intp), np.zeros(n, np.bool_), coming.copy()
@@ -259,11 +268,11 @@ def lanes_held(
         else:
             own[nearest(centers, r)] = True
     coming = comes if comes.shape[0] == n else comes[:0]
-    hold_lanes(r, centers, frames, sight, touch, leave, stored, first, seen, own, owing, coming)
+    update_lanes(r, centers, frames, sight, touch, leave, stored, first, seen, own, owing, coming)
     return seen, own, comes
 
 
-class Standing(NamedTuple):
+class EgoInScene(NamedTuple):
     """The ego in the present scene.
 
     Attributes
@@ -276,24 +285,24 @@ class Standing(NamedTuple):
 
     state: FloatArray
     size: Footprint
-    seen: Ego
+    seen: EgoFootprint
     owned: BoolArray
     visible: IntArray
     stored: int
     entered: int
 
 
-@uncounted
-def others_of(
+@kernel_no_refcount
+def fill_vehicles(
     rows: FloatArray,
     states: FloatArray,
     bodies: Bodies,
-    ego: Standing,
+    ego: EgoInScene,
     followers: BoolArray,
     before: BoolArray,
-    sight: Sight,
+    sight: VisibilityParameters,
     centers: FloatArray,
-    others: Others,
+    others: RoadVehicles,
     room: BoolArray,
 ) -> None:
     """Fill in `others`, the vehicles as the clauses read them; `room` is a buffer, (m, 4).
@@ -338,5 +347,5 @@ def others_of(
     plan = (ego.stored, ego.entered)
     neighbours(others, centers, sight.width, before, ego.visible, plan, asked)
     strip = (bodies.lane, bodies.low, bodies.high)
-    gains(states, across, *strip, centers, sight.distance, sight.slack, state, asked, tempted)
-    entrants(others, tempted, centers, before, ego.visible, plan, sight.reaction, sight.settled)
+    lane_change_incentives(states, across, *strip, centers, sight.distance, sight.slack, state, asked, tempted)
+    mark_entrants(others, tempted, centers, before, ego.visible, plan, sight.reaction, sight.settled)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from dynamics.compiled import inlined
+from dynamics.compiled import kernel_inline
 
 __all__ = ["Footprint", "across_of", "along_of", "reach_across", "reach_along"]
 
@@ -31,25 +31,25 @@ class Footprint(NamedTuple):
     bare_across: float = 0.0
 
 
-@inlined
+@kernel_inline
 def along_of(size: Footprint, sin: float, cos: float) -> float:
     """Half extent of the footprint with its buffer along the road, at a heading of this sine and cosine [m]."""
     return size.along * abs(cos) + size.across * abs(sin) + size.growth_along
 
 
-@inlined
+@kernel_inline
 def across_of(size: Footprint, sin: float, cos: float) -> float:
     """Half extent of the same across the road [m]."""
     return size.along * abs(sin) + size.across * abs(cos) + size.growth_across
 
 
-@inlined
+@kernel_inline
 def reach_along(size: Footprint, psi: float) -> float:
     """`along_of` at heading psi [m]."""
     return along_of(size, math.sin(psi), math.cos(psi))
 
 
-@inlined
+@kernel_inline
 def reach_across(size: Footprint, psi: float) -> float:
     """`across_of` at heading psi [m]."""
     return across_of(size, math.sin(psi), math.cos(psi))

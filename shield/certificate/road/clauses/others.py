@@ -6,17 +6,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import inlined
+from dynamics.compiled import kernel_inline
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.traffic.tables import Bodies
 
-__all__ = ["TOUCH", "Others", "empty_others", "others_from"]
+__all__ = ["TOUCH", "RoadVehicles", "empty_vehicles", "vehicles_from"]
 
 TOUCH = 1.0
 """Distance from a lane's centre within which a body is in the way of that lane [m]: half the width of a car."""
 
 
-class Others(NamedTuple):
+class RoadVehicles(NamedTuple):
     """The other vehicles as the clauses read them, for v vehicles; arrays are (v,) unless stated.
 
     Attributes
@@ -46,15 +46,15 @@ class Others(NamedTuple):
     comes: BoolArray
 
 
-def empty_others(m: int, lanes: int) -> tuple[FloatArray, BoolArray]:
+def empty_vehicles(m: int, lanes: int) -> tuple[FloatArray, BoolArray]:
     """Buffers for m vehicles, beyond their `Bodies`: numbers (5, m), and flags (2 + 2 lanes, m)."""
     return np.empty((5, m)), np.zeros((2 + 2 * lanes, m), np.bool_)
 
 
-@inlined
-def others_from(bodies: Bodies, numbers: FloatArray, flags: BoolArray) -> Others:
+@kernel_inline
+def vehicles_from(bodies: Bodies, numbers: FloatArray, flags: BoolArray) -> RoadVehicles:
     """The rows of both buffers, by their names."""
     ahead, least, size, r, across = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
     behind, held, lanes = flags[0], flags[1], flags.shape[0] // 2 + 1
     beside, comes, lane = flags[2:lanes], flags[lanes:], bodies.lane
-    return Others(ahead, least, size, behind, bodies.low, bodies.high, lane, r, across, held, beside, comes)
+    return RoadVehicles(ahead, least, size, behind, bodies.low, bodies.high, lane, r, across, held, beside, comes)

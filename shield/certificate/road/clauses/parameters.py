@@ -7,27 +7,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import inlined, numbers_of
+from dynamics.compiled import kernel_inline, row_as_tuple
 from dynamics.state import FloatArray
 from dynamics.traffic.assumptions import Assumptions
-from shield.certificate.road.clauses.followers import Sight
-from shield.certificate.road.clauses.separation import Duty
+from shield.certificate.road.clauses.followers import VisibilityParameters
+from shield.certificate.road.clauses.separation import FollowerResponse
 
-__all__ = ["Settings", "duty_of", "settings_from", "settings_of", "sight_of"]
+__all__ = ["ClauseSettings", "follower_response_of", "settings_from", "settings_of", "visibility_of"]
 
 _GAINS = 1.0
 """Error bound on the gain that a vehicle expects from entering a lane [m/s^2]."""
 
 
-class Settings(NamedTuple):
+class ClauseSettings(NamedTuple):
     """Settings of the clauses.
 
     Attributes
     ----------
     seen : distance from a lane's centre within which a vehicle is visible there [m].
-    reaction, settled : numbers of frames, see `Sight`.
-    acceleration, braking : response of a follower [m/s^2], see `Duty`. max_speed : [m/s]. power : [m^2/s^3].
-    hardest : greatest deceleration of any vehicle [m/s^2]. gains : see `Sight.slack` [m/s^2].
+    reaction, settled : numbers of frames, see `VisibilityParameters`.
+    acceleration, braking : response of a follower [m/s^2], see `FollowerResponse`. max_speed : [m/s]. power :
+        [m^2/s^3].
+    hardest : greatest deceleration of any vehicle [m/s^2]. gains : see `VisibilityParameters.slack` [m/s^2].
     blind, slip_in : 1 if vehicles may enter a lane that the ego is about to enter, and if they may cut in.
     width : of a lane [m]. waver : greatest lateral deviation of a body from the centre of its lane [m].
     perception : range [m]. bent : 1 if the road is curved. dt : frame [s].
@@ -53,9 +54,9 @@ class Settings(NamedTuple):
 
 @lru_cache(maxsize=64)
 def settings_of(a: Assumptions, width: float, perception: float, bent: bool, dt: float) -> FloatArray:
-    """The numbers of `Settings`, (16,)."""
+    """The numbers of `ClauseSettings`, (16,)."""
     return np.array(
-        Settings(
+        ClauseSettings(
             a.visible_distance,
             _frames(a.reaction_time, dt),
             _frames(a.settle_time, dt),
@@ -82,19 +83,19 @@ def _frames(time: float, dt: float) -> int:
     return int(np.ceil(time / dt - 1e-9))
 
 
-@inlined
-def settings_from(row: FloatArray) -> Settings:
+@kernel_inline
+def settings_from(row: FloatArray) -> ClauseSettings:
     """The numbers, by their names."""
-    return Settings(*numbers_of(row, 16))
+    return ClauseSettings(*row_as_tuple(row, 16))
 
 
-@inlined
-def duty_of(x: Settings, hold: int) -> Duty:
+@kernel_inline
+def follower_response_of(x: ClauseSettings, hold: int) -> FollowerResponse:
     """Follower response model, with `hold` frames of constant speed expected first."""
-    return Duty(x.seen, int(x.reaction), x.acceleration, x.braking, x.max_speed, x.power, hold, x.dt)
+    return FollowerResponse(x.seen, int(x.reaction), x.acceleration, x.braking, x.max_speed, x.power, hold, x.dt)
 
 
-@inlined
-def sight_of(x: Settings) -> Sight:
+@kernel_inline
+def visibility_of(x: ClauseSettings) -> VisibilityParameters:
     """Parameters of visibility."""
-    return Sight(x.seen, x.gains, int(x.reaction), int(x.settled), x.blind > 0, x.width)
+    return VisibilityParameters(x.seen, x.gains, int(x.reaction), int(x.settled), x.blind > 0, x.width)

@@ -8,17 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dynamics.compiled import inlined, uncounted
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.state import FloatArray
 from shield.certificate.road.clauses.footprint import Footprint
 
-__all__ = ["Duty", "Path", "Vehicle", "coming_frame", "extents", "separation", "turns"]
+__all__ = ["FollowerResponse", "PathExtents", "UnobligatedVehicle", "coming_frame", "extents", "separation", "turns"]
 
 _STRAIGHT = 0.01
 """Sine of the heading below which a path's own next frame covers the place that constant velocity leads to."""
 
 
-class Duty(NamedTuple):
+class FollowerResponse(NamedTuple):
     """Follower response model.
 
     Attributes
@@ -39,7 +39,7 @@ class Duty(NamedTuple):
     dt: float
 
 
-class Path(NamedTuple):
+class PathExtents(NamedTuple):
     """Extents of a path.
 
     Attributes
@@ -55,7 +55,7 @@ class Path(NamedTuple):
     highest: float
 
 
-class Vehicle(NamedTuple):
+class UnobligatedVehicle(NamedTuple):
     """A vehicle without a distance obligation.
 
     Attributes
@@ -82,15 +82,15 @@ class Vehicle(NamedTuple):
     stretch: float
 
 
-@inlined
+@kernel_inline
 def turns(path: FloatArray, turned: FloatArray) -> None:
     """Write the sine and cosine of the headings of a path (K, 4) to `turned`, (2, at least K)."""
     for k in range(path.shape[0]):
         turned[0, k], turned[1, k] = math.sin(path[k, 2]), math.cos(path[k, 2])
 
 
-@inlined
-def extents(path: FloatArray, turned: FloatArray, size: Footprint, dt: float, bounds: FloatArray) -> Path:
+@kernel_inline
+def extents(path: FloatArray, turned: FloatArray, size: Footprint, dt: float, bounds: FloatArray) -> PathExtents:
     """Extents of the ego's rectangle in each frame of a path (K, 4). With the buffer, s is within `bounds[0]` and
     `bounds[1]`, and r within `bounds[2]` and `bounds[3]`.
 
@@ -107,7 +107,7 @@ def extents(path: FloatArray, turned: FloatArray, size: Footprint, dt: float, bo
     for k in range(path.shape[0]):
         s, r, psi, v = path[k, 0], path[k, 1], path[k, 2], path[k, 3]
         if not (math.isfinite(s) and math.isfinite(r) and math.isfinite(psi) and math.isfinite(v)):
-            return Path(False, coming, lowest, highest)
+            return PathExtents(False, coming, lowest, highest)
         sin, cos = turned[0, k], turned[1, k]
         half_s = lon * abs(cos) + lat * abs(sin) + size.growth_along
         half_r = lon * abs(sin) + lat * abs(cos) + size.growth_across
@@ -117,10 +117,10 @@ def extents(path: FloatArray, turned: FloatArray, size: Footprint, dt: float, bo
             r += v * sin * dt
             half_r = 0.5 * (length * abs(sin) + width * abs(cos)) + size.bare_across
             lowest, highest = min(lowest, r - half_r), max(highest, r + half_r)
-    return Path(True, coming, lowest, highest)
+    return PathExtents(True, coming, lowest, highest)
 
 
-@uncounted
+@kernel_no_refcount
 def coming_frame(
     state: FloatArray,
     turned: tuple[float, float],
@@ -169,8 +169,10 @@ def coming_frame(
     return apart if apart < 0 else np.inf
 
 
-@inlined
-def _front(path: FloatArray, frames: int, other: Vehicle, duty: Duty, front: FloatArray) -> float:
+@kernel_inline
+def _front(
+    path: FloatArray, frames: int, other: UnobligatedVehicle, duty: FollowerResponse, front: FloatArray
+) -> float:
     """Write the greatest s of a vehicle after each frame to `front`, (at least K,) [m]. It accelerates; a follower does
     so until its braking begins. Return the distance that a follower may still advance after the last frame [m]."""
     v0, start, stretch, center, at_once = other.speed, other.front, other.stretch, other.center, other.at_once
@@ -205,16 +207,16 @@ def _front(path: FloatArray, frames: int, other: Vehicle, duty: Duty, front: Flo
     return more * dt * stretch
 
 
-@inlined
+@kernel_inline
 def separation(
     path: FloatArray,
     turned: FloatArray,
-    ego: Path,
+    ego: PathExtents,
     bounds: FloatArray,
     size: Footprint,
-    other: Vehicle,
+    other: UnobligatedVehicle,
     rear: FloatArray,
-    duty: Duty,
+    duty: FollowerResponse,
     front: FloatArray,
 ) -> tuple[float, int]:
     """Least separation of a path (K, 4) from a vehicle without a distance obligation [m], and the first frame in which

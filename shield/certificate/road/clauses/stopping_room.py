@@ -6,14 +6,14 @@ import math
 
 import numpy as np
 
-from dynamics.compiled import inlined
+from dynamics.compiled import kernel_inline
 from dynamics.state import FloatArray
 from shield.certificate.road.clauses.footprint import Footprint
 
 __all__ = ["margin_of", "room_of"]
 
 
-@inlined
+@kernel_inline
 def room_of(
     path: FloatArray,
     turned: FloatArray,
@@ -36,7 +36,7 @@ def room_of(
     return side - abs(path[last, 1] - center) - half
 
 
-@inlined
+@kernel_inline
 def margin_of(separations: FloatArray, slipping: FloatArray, room: float) -> float:
     """Margin of a path: its least separation, or the room if that is negative and less [m]; NaN if any input is NaN.
 

@@ -10,13 +10,13 @@ import numpy as np
 from dynamics.compiled import compiled
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.traffic.tables import Bodies, Motion
-from shield.certificate.road.clauses.cut_in import LASTS
-from shield.certificate.road.clauses.others import Others
+from shield.certificate.road.clauses.cut_in import CUT_IN_DURATION
+from shield.certificate.road.clauses.others import RoadVehicles
 
-__all__ = ["Around", "Desk", "Ground", "new_desk"]
+__all__ = ["ClauseWorkspace", "LaneState", "SceneVehicles", "new_clause_workspace"]
 
 
-class Ground(NamedTuple):
+class LaneState(NamedTuple):
     """Lanes of a scene.
 
     Attributes
@@ -30,7 +30,7 @@ class Ground(NamedTuple):
     visible: IntArray
 
 
-class Around(NamedTuple):
+class SceneVehicles(NamedTuple):
     """The other vehicles of a scene.
 
     Attributes
@@ -45,10 +45,10 @@ class Around(NamedTuple):
     stretch: FloatArray
     bodies: Bodies
     motion: Motion
-    others: Others
+    others: RoadVehicles
 
 
-class Desk(NamedTuple):
+class ClauseWorkspace(NamedTuple):
     """Workspace for one path of at most K frames among m vehicles, with the values that further paths of the same scene
     reuse.
 
@@ -88,10 +88,10 @@ class Desk(NamedTuple):
 
 
 @compiled
-def new_desk(m: int, frames: int, dt: float) -> Desk:
+def new_clause_workspace(m: int, frames: int, dt: float) -> ClauseWorkspace:
     """An empty workspace for `m` vehicles and paths of at most `frames` frames of duration `dt` [s]."""
-    last = math.ceil(LASTS / dt)
-    return Desk(
+    last = math.ceil(CUT_IN_DURATION / dt)
+    return ClauseWorkspace(
         np.empty(m, np.intp),
         np.zeros(1, np.intp),
         np.empty((2, m)),

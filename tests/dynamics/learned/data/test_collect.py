@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.errors import ConfigError, DataError
-from dynamics.learned.data.collect import RESET_SEEDS, RandomPolicy, collect
+from dynamics.learned.data.collect import RESET_SEEDS, RepeatedRandomPolicy, collect
 from dynamics.learned.models.oracle import BicycleModel
 from dynamics.learned.tasks import parking_state as parking
 
@@ -116,7 +116,7 @@ def test_any_policy_with_predict_drives_and_gets_its_state_back():
 @settings(deadline=None)
 @given(st.integers(1, 6), st.integers(0, 99))
 def test_a_random_action_is_held_for_a_limited_time(hold, seed):
-    policy = RandomPolicy(spaces.Box(-1, 1, (2,)), np.random.default_rng(seed), hold)
+    policy = RepeatedRandomPolicy(spaces.Box(-1, 1, (2,)), np.random.default_rng(seed), hold)
     actions = np.array([policy.predict(None)[0] for _ in range(60)])
     lengths = np.diff(np.flatnonzero(np.r_[True, (np.diff(actions, axis=0) != 0).any(axis=1), True]))
     assert lengths.max() <= hold

@@ -8,7 +8,7 @@ import pytest
 from gymnasium import spaces
 
 from dynamics.errors import ConfigError
-from dynamics.learned.data.collect import RandomPolicy
+from dynamics.learned.data.collect import RepeatedRandomPolicy
 from dynamics.learned.models.linear import LinearStructuredModel, ModelConfig
 from dynamics.learned.models.oracle import BicycleModel
 from dynamics.learned.training.fit import FitConfig
@@ -41,7 +41,7 @@ def test_each_round_drives_with_the_model_before_and_adds_its_data():
 
     def policy_of(model, data):
         asked.append((model, len(data)))
-        return RandomPolicy(Yard.action_space, np.random.default_rng(0))
+        return RepeatedRandomPolicy(Yard.action_space, np.random.default_rng(0))
 
     done = list(rounds(Yard(), lambda x: x, MODEL, policy_of, CONFIG, FIT))
     assert [r.number for r in done] == [0, 1, 2]

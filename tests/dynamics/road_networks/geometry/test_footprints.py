@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from dynamics.highway_simulator.arithmetic import sums_of_numpy
 from dynamics.highway_simulator.loops import addresses
-from dynamics.road_networks.geometry.footprints import Place, Rectangle, extent_of
-from dynamics.road_networks.geometry.lanes import Lanes
+from dynamics.road_networks.geometry.footprints import LanePoint, Rectangle, extent_of
+from dynamics.road_networks.geometry.lanes import NetworkLanes
 from dynamics.road_networks.geometry.network import network_of
 
 SIDE = np.linspace(-1.0, 1.0, 201)
@@ -43,7 +43,7 @@ def lanes_of(lane):
     road = RoadNetwork()
     road.add_lane("a", "b", lane)
     network = network_of(road)
-    return Lanes(sums_of_numpy()[0], addresses(), network.lanes, network.ids, network.near)
+    return NetworkLanes(sums_of_numpy()[0], addresses(), network.lanes, network.ids, network.near)
 
 
 @pytest.mark.parametrize("kind", [STRAIGHT, SINE, ARC], ids=["straight", "sine", "arc"])
@@ -62,7 +62,7 @@ def test_the_extent_of_a_rectangle_is_that_of_its_outline(kind, data, share, r, 
     s = share * (min(lane.length, 0.9 * math.pi * lane.radius) if isinstance(lane, CircularLane) else lane.length)
     (x, y), heading = lane.position(s, r), lane.heading_at(s) + angle
     cos, sin = math.cos(heading), math.sin(heading)
-    extent = extent_of(lanes_of(lane), 0, Place(float(x), float(y), s, r), Rectangle(ahead, cos, sin, *sides))
+    extent = extent_of(lanes_of(lane), 0, LanePoint(float(x), float(y), s, r), Rectangle(ahead, cos, sin, *sides))
     points = [x, y] + (OUTLINE * sides + [ahead, 0.0]) @ np.array([[cos, sin], [-sin, cos]])
     local = np.array([lane.local_coordinates(point) for point in points])
     least, most = local.min(axis=0), local.max(axis=0)

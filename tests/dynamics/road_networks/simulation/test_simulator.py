@@ -202,7 +202,7 @@ def test_every_lane_is_highway_envs(env_id):
 
 def compare_lanes(road, rng, count):
     sums, network = sums_of_numpy()[0], network_of(road)
-    all_lanes = lanes.Lanes(sums, addresses(), network.lanes, network.ids, network.near)
+    all_lanes = lanes.NetworkLanes(sums, addresses(), network.lanes, network.ids, network.near)
     exact, names = sums < 2, {number: key for key, number in index_of(road).items()}
     for at, heading in positions(road, rng, count):
         x, y = at.tolist()

@@ -13,7 +13,7 @@ from dynamics.road_networks.episodes.simulator import RoadSimulator
 from dynamics.traffic import crossing
 from dynamics.traffic.crossing import with_own_traffic
 from evaluation.settings import Setting, get_setting
-from shield.certificate.simulated.roads import ExactRoads
+from shield.certificate.simulated.roads import SimulatedRoads
 
 CHANGED = ("DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN")
 PATH = "highway_env.vehicle.behavior.{}".format
@@ -31,7 +31,7 @@ def constants():
         lambda: Setting("mine", "highway_env:intersection-v1").make(),
         lambda: Setting("mine", "intersection-multi-agent-v0").make(),
         lambda: road_scenario_of("intersection-v0"),
-        lambda: ExactRoads("intersection-v0", 1).one(),
+        lambda: SimulatedRoads("intersection-v0", 1).one(),
     ],
 )
 def test_an_intersection_changes_no_other_traffic(make):

@@ -9,7 +9,7 @@ from input_scenes import InputPair, make_inputs
 from network_pair import INTERSECTIONS, wild_scene
 
 from dynamics.highway_simulator.layout import HEADING, SPEED, TARGET, X, Y
-from dynamics.road_networks.geometry.layout import LAW
+from dynamics.road_networks.geometry.layout import USES_CONTROLLERS
 from dynamics.road_networks.simulation.simulator import NetworkSimulator
 
 ROADS = (
@@ -127,7 +127,7 @@ def test_the_law_is_highway_envs_controllers(env_id):
     simulator = NetworkSimulator(meta)
     for action in (1, 0, 1, 2, 1):
         mine, theirs = law.step(action), simulator.step(action)
-        assert law.worlds.g[0, LAW, 0] == 1
+        assert law.worlds.g[0, USES_CONTROLLERS, 0] == 1
         assert np.array_equal(mine, theirs)
 
 
@@ -152,5 +152,5 @@ def test_a_held_input_ends_the_law():
     f, g = simulator.worlds.f[0], simulator.worlds.g[0]
     before = f[[X, Y, HEADING, SPEED], 0].copy()
     simulator.hold(0.0, 0.0, 1)
-    assert g[LAW, 0] == 0
+    assert g[USES_CONTROLLERS, 0] == 0
     assert f[SPEED, 0] == before[3]

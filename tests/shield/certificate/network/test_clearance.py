@@ -11,13 +11,13 @@ from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle
 from slowly import later
 
-from dynamics.road_networks.reachable.prediction import reach
-from dynamics.road_networks.reachable.strips import LOW, Conduct
+from dynamics.road_networks.reachable.prediction import distance_bounds
+from dynamics.road_networks.reachable.strips import LOW, DrivingBounds
 from shield import ShieldConfig
-from shield.certificate.network.choice import choose, try_course
+from shield.certificate.network.choice import choose, try_candidate
 from shield.certificate.network.clearance import CLEAR
-from shield.certificate.network.monitor import Breach, Watch
-from shield.filters.network import RoadDoor
+from shield.certificate.network.monitor import NetworkMonitor, NetworkRule
+from shield.filters.network import NetworkFilter
 
 HARD = 9.8
 
@@ -38,7 +38,7 @@ def scene(env_id, lane, s, speed, others=(), things=(), config=None):
         road.vehicles[-1].route = None
     for index, where in things:
         road.objects.append(Obstacle(road, road.network.get_lane(index).position(where, 0)))
-    door = RoadDoor(base, config or ShieldConfig.for_roads())
+    door = NetworkFilter(base, config or ShieldConfig.for_roads())
     door.reset()
     door._read()
     door._others.owes[:] = False
@@ -50,7 +50,7 @@ def margin(door, seconds, speed, lenient=False):
     lane = int(door._alone.worlds.g[0, 2, 0])
     frames = 1 + round(seconds * door._frequency)
     row = np.array([lane, speed, 1e3, frames, 0, HARD], float)
-    return try_course(door._alone, door._road, door._others, row, lenient, door._trial).margin
+    return try_candidate(door._alone, door._road, door._others, row, lenient, door._trial).margin
 
 
 RING, NEXT, ENTRY = ("se", "ex", 0), ("ex", "ee", 0), ("ses", "se", 0)
@@ -104,7 +104,7 @@ def test_bounds_on_travel_are_those_of_hardest_braking_and_acceleration():
     """Frame by frame. A creeping vehicle may steer so hard that it gains less along its lane."""
     rows, drive = np.array([[0.0, 0.0, 0.0, 10.0, 5.0, 2.0, 0.0]]), np.array([[14.0, 1.0, 1.0, 3.0, 0.34]])
     least, most = np.zeros((1, 60)), np.zeros((1, 60))
-    reach(Conduct(6.0, 3.0, 30.0, 0.6, 0.15), rows, drive, 0.1, least, most)
+    distance_bounds(DrivingBounds(6.0, 3.0, 30.0, 0.6, 0.15), rows, drive, 0.1, least, most)
     for rate, low, high, bound in ((3.0, 0.0, 14.0, most), (-6.0, 0.0, 14.0, least)):
         speed, way = 10.0, 0.0
         for k in range(60):
@@ -175,8 +175,8 @@ def test_a_vehicle_beside_its_lane_has_to_return():
     for k in range(2):
         body.position = base.road.network.get_lane(lane).position(20.0 + k, -1.2)
         seen.append(door._look())
-    for clear, broken in (({body}, {Breach.WAYS: 1}), (set(), {})):
-        watch = Watch()
+    for clear, broken in (({body}, {NetworkRule.WAYS: 1}), (set(), {})):
+        watch = NetworkMonitor()
         for k in range(2):
             watch.next(seen[k], clear, np.array([-1.0]), door._road, set())
         assert watch.by_rule == broken
@@ -188,7 +188,7 @@ def test_the_ego_does_not_evade_into_a_lane_that_ends():
     lanes = []
     for aside in (-1, 1):
         row = np.array([door._index["b", "c", 1], 20.0, 1e3, 5, aside, HARD], float)
-        try_course(door._alone, door._road, door._others, row, False, door._trial)
+        try_candidate(door._alone, door._road, door._others, row, False, door._trial)
         lanes.append(door._names[int(door._trial.bound[10])])
     assert lanes == [("b", "c", 0), ("b", "c", 1)]
 
@@ -365,5 +365,5 @@ def test_a_follower_that_does_not_brake_is_a_violator(brakes):
         body.step(1 / door._frequency)
         door._base.steps += 1  # the filter judges each frame once
     door.frame()
-    assert set(door.watch.by_rule) == (set() if brakes else {Breach.DISTANCE})
+    assert set(door.watch.by_rule) == (set() if brakes else {NetworkRule.DISTANCE})
     assert brakes or named[0] == pytest.approx(15.0**2 / 12, abs=1.5)

@@ -9,7 +9,7 @@ import pytest
 from highway_env.vehicle.kinematics import Vehicle
 
 from shield import ShieldConfig
-from shield.filters.network import RoadDoor
+from shield.filters.network import NetworkFilter
 
 BEFORE, LANE = ("ser", "ses", 0), ("ses", "se", 0)
 IDLE = 1
@@ -31,7 +31,7 @@ def creep_up(length, width, step, until):
     body = Vehicle(road, start, lane.heading, step * base.config["simulation_frequency"])
     body.LENGTH, body.WIDTH, body.route = length, width, None
     road.vehicles, road.objects = [ego, body], []
-    door = RoadDoor(base, ShieldConfig.for_roads())
+    door = NetworkFilter(base, ShieldConfig.for_roads())
     door.reset()
     while (left := rear - lane.local_coordinates(body.position)[0] - 0.5 * length) > until:
         door.decide(IDLE)
@@ -69,7 +69,7 @@ def test_a_follower_far_behind_an_ego_that_will_stand_beyond_the_joint_can_keep_
         ego.position, ego.heading, ego.speed = lane.position(s, 0.0), lane.heading, 15.6
         ego.lane_index = ego.target_lane_index = BEFORE
         ego.lane, ego.route, ego.speed_index, ego.target_speed = lane, None, 2, 16.0
-        door = RoadDoor(base, ShieldConfig.for_roads())
+        door = NetworkFilter(base, ShieldConfig.for_roads())
         door.reset()
         door.decide(IDLE)
         if door.frame()[1].tier.verified:

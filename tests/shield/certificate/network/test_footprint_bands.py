@@ -11,10 +11,10 @@ from highway_env.vehicle.kinematics import Vehicle
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from dynamics.road_networks.reachable.strips import FAR, HALF, HIGH, LOW, NEAR, half_of, keep_of
+from dynamics.road_networks.reachable.strips import BODY_HALF, FAR, HIGH, LOW, NEAR, body_half, centred_half
 from shield import ShieldConfig, ShieldedEnv
 from shield.certificate.network.manoeuvres import stopping
-from shield.filters.network import RoadDoor
+from shield.filters.network import NetworkFilter
 
 TOLERANCE, SMALL = 1e-6, 0.03
 
@@ -42,7 +42,7 @@ def worst_corner(kind, angles=0.15):
             row = others.numbers[: int(others.found[0])][ours][0]
             local = np.array([lane.local_coordinates(corner) for corner in body.polygon()[:4]])
             across = max(row[LOW] - local[:, 1].min(), local[:, 1].max() - row[HIGH])
-            along = max(-row[FAR] - row[HALF] - local[:, 0].min(), local[:, 0].max() + row[NEAR] - row[HALF])
+            along = max(-row[FAR] - row[BODY_HALF] - local[:, 0].min(), local[:, 0].max() + row[NEAR] - row[BODY_HALF])
             worst = np.maximum(worst, [across, along])
     return worst
 
@@ -80,7 +80,7 @@ def road_of(env_id):
     env = gym.make(env_id)
     env.reset(seed=1)
     base = env.unwrapped
-    door, body = RoadDoor(base, ShieldConfig.for_roads()), Vehicle(base.road, [0.0, 0.0])
+    door, body = NetworkFilter(base, ShieldConfig.for_roads()), Vehicle(base.road, [0.0, 0.0])
     base.road.vehicles, base.road.objects = [base.vehicle, body], []
     return door, body
 
@@ -122,7 +122,7 @@ def test_every_strip_of_a_body_encloses_its_outline(env_id, which, share, r, ang
     for lane_number, row in zip(others.marks[now, 1], others.numbers[now], strict=True):
         s, across, middle = outline_on(lanes[numbers[lane_number]], body)
         assert middle == pytest.approx(-row[NEAR]) == -row[FAR]
-        assert np.abs(s - middle).max() <= row[HALF] + TOLERANCE
+        assert np.abs(s - middle).max() <= row[BODY_HALF] + TOLERANCE
         assert row[LOW] - TOLERANCE <= across.min()
         assert across.max() <= row[HIGH] + TOLERANCE
 
@@ -150,8 +150,8 @@ def test_a_body_that_keeps_to_its_lane_stays_inside_the_predicted_band(env_id, w
     body.LENGTH, body.WIDTH = length, width
     row = np.array([*body.position, body.heading, 5.0, length, width, 0.0])
     s, across, middle = outline_on(lane, body)
-    assert np.abs(s - middle).max() <= half_of(road.lanes, number, row, road.conduct) + TOLERANCE
-    assert np.abs(across).max() <= keep_of(road.lanes, number, row, road.conduct) + SMALL
+    assert np.abs(s - middle).max() <= body_half(road.lanes, number, row, road.conduct) + TOLERANCE
+    assert np.abs(across).max() <= centred_half(road.lanes, number, row, road.conduct) + SMALL
 
 
 def decided(env_id, ego, other):
@@ -168,7 +168,7 @@ def decided(env_id, ego, other):
         vehicle.lane_index, vehicle.lane, vehicle.LENGTH, vehicle.route = index, lane, length, None
     base.vehicle.target_lane_index = ego[0]
     road.vehicles, road.objects = [base.vehicle, body], []
-    door = RoadDoor(base, ShieldConfig.for_roads())
+    door = NetworkFilter(base, ShieldConfig.for_roads())
     door.reset()
     door.decide(1)
     return door.frame()[1]
@@ -207,7 +207,7 @@ def test_the_margin_to_a_vehicle_does_not_depend_on_another():
             body = Vehicle(road, at.position(s, 0.0), at.heading_at(s) + turned, 0.8)
             body.LENGTH, body.WIDTH, body.route = length, 0.5, None
             road.vehicles.append(body)
-        door = RoadDoor(base, ShieldConfig.for_roads())
+        door = NetworkFilter(base, ShieldConfig.for_roads())
         door.reset()
         door._read()
         door._try(stopping(door._bound, 9.8))

@@ -14,7 +14,7 @@ from highway_env.vehicle.objects import Obstacle, RoadObject
 
 from dynamics.road_networks.reachable.strips import SEVERAL
 from shield import ShieldedEnv
-from shield.certificate.network.clearance import _is_shut
+from shield.certificate.network.clearance import _is_blocked
 
 FASTER, IDLE, SLOWER = 3, 1, 4
 
@@ -131,7 +131,7 @@ def test_a_lane_is_closed_where_all_lanes_that_lead_to_it_are():
         for open_ in range(-1, j):
             others.shut[:] = True
             others.shut[max(open_, 0)] &= open_ < 0
-            shut.append(_is_shut(others, env.door._road, j))
+            shut.append(_is_blocked(others, env.door._road, j))
         assert shut[0]
         assert shut.count(False) == 2
 

@@ -5,21 +5,28 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynamics.road_networks.simulation.ego_alone import Course
-from shield.certificate.network.manoeuvres import COMMITTED, Wish, courses_of, frames_of, gone_on_with, stopping
+from dynamics.road_networks.simulation.ego_alone import EgoManoeuvre
+from shield.certificate.network.manoeuvres import (
+    COMMITTED,
+    TargetCommand,
+    candidates_of,
+    frames_of,
+    remainder_after_frame,
+    stopping,
+)
 from shield.decision import Tier
 
 BRAKING, HERTZ = 6.0, 15
 LANES, SPEEDS = st.integers(0, 5), st.floats(0.0, 30.0)
 GENTLE, FRAMES, ASIDE = st.sampled_from([COMMITTED, BRAKING]), st.integers(0, 60), st.sampled_from([-1, 0, 1])
-STORED = st.none() | st.builds(Course, LANES, SPEEDS, GENTLE, FRAMES, ASIDE, st.just(BRAKING))
+STORED = st.none() | st.builds(EgoManoeuvre, LANES, SPEEDS, GENTLE, FRAMES, ASIDE, st.just(BRAKING))
 ASKED = st.tuples(
-    st.builds(Wish, LANES, SPEEDS), STORED, SPEEDS, st.lists(LANES, min_size=1, max_size=3), st.booleans()
+    st.builds(TargetCommand, LANES, SPEEDS), STORED, SPEEDS, st.lists(LANES, min_size=1, max_size=3), st.booleans()
 )
 
 
 def tried(asked):
-    return list(courses_of(*asked, HERTZ, BRAKING))
+    return list(candidates_of(*asked, HERTZ, BRAKING))
 
 
 @given(ASKED)
@@ -49,14 +56,14 @@ def test_the_stored_plan_and_a_standstill_are_always_candidates(asked):
 
 @given(LANES, SPEEDS, st.integers(0, 20), st.sampled_from([-1, 0, 1]), LANES)
 def test_a_continued_manoeuvre_ends_in_braking(lane, speed, frames, aside, bound):
-    course = Course(lane, speed, COMMITTED, frames, aside, BRAKING)
+    course = EgoManoeuvre(lane, speed, COMMITTED, frames, aside, BRAKING)
     for left in reversed(range(frames)):
-        course = gone_on_with(course, bound)
+        course = remainder_after_frame(course, bound)
         assert (course.lane, course.frames, course.aside) == (bound, left, aside)
     # It turns aside once, in its first frame of braking.
-    course = gone_on_with(course, bound)
+    course = remainder_after_frame(course, bound)
     assert (course.frames, course.aside) == (0, 0)
-    assert gone_on_with(course, bound) == course
+    assert remainder_after_frame(course, bound) == course
 
 
 def test_stopping_is_to_brake_at_once():

@@ -13,10 +13,10 @@ from slowly import later
 
 from dynamics.road_networks.reachable.strips import START
 from shield import ShieldConfig, ShieldedEnv
-from shield.certificate.network.choice import try_course
+from shield.certificate.network.choice import try_candidate
 from shield.certificate.network.clearance import CLEAR
-from shield.certificate.network.monitor import Breach, Watch
-from shield.filters.network import RoadDoor
+from shield.certificate.network.monitor import NetworkMonitor, NetworkRule
+from shield.filters.network import NetworkFilter
 
 HARD = 9.8
 
@@ -33,7 +33,7 @@ class Scene:
         self.other = Vehicle(road, road.network.lanes_list()[0].position(0, 0))
         self.other.LENGTH, self.other.WIDTH = size
         road.vehicles, road.objects = [self.ego, self.other], []
-        self.door = RoadDoor(self.base, ShieldConfig.for_roads())
+        self.door = NetworkFilter(self.base, ShieldConfig.for_roads())
         self.door.reset()
 
     def put(self, vehicle, lane, position, heading, speed):
@@ -59,11 +59,11 @@ class Scene:
         row = np.array([self.door._index[lane], speed, 1e3, frames, 0, HARD], float)
         self.see()
         door = self.door
-        return try_course(door._alone, door._road, door._others, row, False, door._trial).margin
+        return try_candidate(door._alone, door._road, door._others, row, False, door._trial).margin
 
     def rules(self, before, after):
         """The rules that the other one breaks between two scenes (`Outlook.look`) where the fail-safe suffers."""
-        watch = Watch()
+        watch = NetworkMonitor()
         for seen in (before, after):
             watch.next(seen, {self.other}, np.array([-1.0]), self.door._road, set())
         return set(watch.breaking.get(self.other, ()))
@@ -86,9 +86,9 @@ def test_a_vehicle_that_narrows_at_the_outer_edge_of_an_arc_is_a_violator():
     narrow = ("b", "c", 1), lane.position(s, r + 0.3), -0.083, length, 0.5
     before, after = scene.looks(wide, narrow)
     assert after.others.most[0, -1] > before.others.most[0, -1] + 1.0
-    assert scene.rules(before, after) == {Breach.WAYS}
+    assert scene.rules(before, after) == {NetworkRule.WAYS}
     # The other way round, the body grows.
-    assert Breach.GROWN in scene.rules(after, before)
+    assert NetworkRule.GROWN in scene.rules(after, before)
 
 
 @pytest.mark.parametrize("column", range(5))
@@ -98,12 +98,12 @@ def test_every_quantity_that_bounds_a_vehicle_s_travel_is_monitored(column):
     scene, lane = Scene("merge-v0"), ("b", "c", 2)
     at = scene.network.get_lane(lane).position(30.0, 0.0)
     before, after = scene.looks((lane, at, 0.0, 5.0, 2.0), (lane, at, 0.0, 5.0, 2.0))
-    assert scene.rules(before, after) == {Breach.UNFORESEEN}
+    assert scene.rules(before, after) == {NetworkRule.UNFORESEEN}
     worse = -1 if column in (1, 4) else 1
     after.others.drive[0, column] += 1e-9 * worse
-    assert scene.rules(before, after) == {Breach.WAYS}
+    assert scene.rules(before, after) == {NetworkRule.WAYS}
     after.others.drive[0, column] -= 2e-9 * worse
-    assert scene.rules(before, after) == {Breach.UNFORESEEN}
+    assert scene.rules(before, after) == {NetworkRule.UNFORESEEN}
 
 
 @pytest.mark.parametrize(("turned", "r", "gap"), [(0.2, 2.6, 7.1), (0.1, 2.8, 7.5), (0.3, 2.8, 7.0)])
@@ -165,7 +165,7 @@ def test_a_vehicle_that_newly_fits_past_the_ego_is_a_violator(lane, ego, other, 
         scene.on(scene.other, lane, on.length + other[0], across, 0.0)
         margins.append(scene.margin(lane, 0.0, 1))
         seen.append(replace(scene.door._look(), others=scene.door._others))
-    assert not margins[0] >= CLEAR > margins[1] or scene.rules(*seen) == {Breach.WAYS}
+    assert not margins[0] >= CLEAR > margins[1] or scene.rules(*seen) == {NetworkRule.WAYS}
 
 
 @pytest.mark.parametrize(("r", "shut"), [(0.0, True), (-2.96, False)])

@@ -17,7 +17,7 @@ from dynamics.roads.straight import StraightRoad
 from dynamics.scenes.scene import EgoControl, Scene, Target
 from dynamics.vehicle.rollouts import BRAKE, Rollouts
 from shield import ShieldConfig
-from shield.certificate.road.verify import Surveyor
+from shield.certificate.road.verify import PathVerifier
 
 DT, LANES = 0.05, 2
 CONFIG = ShieldConfig()
@@ -40,7 +40,7 @@ def plan(scene: Scene) -> np.ndarray:
 
 def judged(scene: Scene, config: ShieldConfig = CONFIG) -> float:
     lanes = np.zeros(1, dtype=np.intp)
-    return float(Surveyor(scene, config).clearance(plan(scene), lanes, lanes).slipping.min(initial=np.inf))
+    return float(PathVerifier(scene, config).clearance(plan(scene), lanes, lanes).slipping.min(initial=np.inf))
 
 
 def worst_overlap(scene: Scene, beyond: float = 0.2) -> float:

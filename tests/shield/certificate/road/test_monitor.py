@@ -9,7 +9,7 @@ import pytest
 from clause_scenes import CONFIG, DT, after, along, scene_of
 from cores import ContinuousCore, ShieldCore
 
-from dynamics.traffic.rules_of_the_road import Rule
+from dynamics.traffic.rules_of_the_road import RoadRule
 from dynamics.vehicle.rollouts import Rollouts
 from shield import Tier
 from shield.certificate.road.manoeuvres import brake_candidates
@@ -76,7 +76,7 @@ def test_a_vehicle_that_takes_more_room_is_a_violator_if_the_fail_safe_needs_it(
     after(shield, scene_of((0, 0, 0, 20), (x, 2.9, 0, 10), lanes=2))
     after(shield, scene_of((20 * DT, 0, 0, 20), (x + 10 * DT, 2.4, 0, 10), lanes=2))
     assert shield.violations == count
-    assert shield.watch.by_rule == ({Rule.LANES: 1} if count else {})
+    assert shield.watch.by_rule == ({RoadRule.LANES: 1} if count else {})
 
 
 @pytest.mark.parametrize(("r", "y", "count"), [(-0.9, 1.6, 1), (4.0, 0.0, 0)])
@@ -86,4 +86,4 @@ def test_a_follower_that_owes_distance_does_not_come_beside_the_ego(r, y, count)
     for x in (-7.2, -7.2 + 15 * DT):
         shield.look(scene_of((0, r, 0, 0), (x, y, 0, 15), lanes=2))
     assert shield.violations == count
-    assert shield.watch.by_rule == ({Rule.DISTANCE: 1} if count else {})
+    assert shield.watch.by_rule == ({RoadRule.DISTANCE: 1} if count else {})

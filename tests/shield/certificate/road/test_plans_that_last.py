@@ -11,8 +11,8 @@ from dynamics.scenes.scene import EgoControl, Scene, Target
 from dynamics.vehicle.controllers import KP_SPEED
 from dynamics.vehicle.rollouts import Rollouts
 from shield.certificate.road.manoeuvres import brake_candidates
-from shield.certificate.road.verify import Surveyor
-from shield.pipelines.frames import _accelerations, held_back_speeds
+from shield.certificate.road.verify import PathVerifier
+from shield.pipelines.frames import _accelerations, capped_speeds
 
 LANES = 3
 OWNED = {"visible": np.full(LANES, 10**6), "owned": np.array([True, True, False]), "stored": 1}
@@ -44,7 +44,7 @@ def test_a_verified_decision_verifies_in_its_first_frame(seed):
 def stopping(ego, follower, owned):
     """The margin of braking to a stop in lane 1 with a follower that owes the ego its distance; its strip, (2,) [m]."""
     scene = scene_of(ego, follower, lanes=LANES, lane=1)
-    survey = Surveyor(scene, CONFIG, followers=np.ones(1, bool), **{**OWNED, "owned": owned})
+    survey = PathVerifier(scene, CONFIG, followers=np.ones(1, bool), **{**OWNED, "owned": owned})
     candidates = brake_candidates(scene, [1], [0.0], [1], 0, CONFIG.braking)
     paths = candidates.paths(Rollouts(DT), scene.ego_road)
     margin = survey.without_cut_ins().clearance(paths, candidates.lanes, candidates.fails).margin[0]
@@ -101,4 +101,4 @@ def test_fewer_frames_at_rest_take_no_plan_away(start, r, psi, v, gap, faster, m
 def test_a_lane_change_is_held_back_to_speeds_that_its_first_frame_tries(v, speed):
     now = ShieldCore().look(scene_of((0.0, 4.0, 0.0, v), lanes=LANES))
     tried = v + _accelerations(now, Target(0, speed)) / KP_SPEED
-    assert held_back_speeds(now, Target(0, speed)) <= set(tried.tolist())
+    assert capped_speeds(now, Target(0, speed)) <= set(tried.tolist())

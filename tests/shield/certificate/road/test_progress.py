@@ -14,7 +14,7 @@ from slowly import later
 from dynamics.highway_simulator.layout import CRASHED, LANE, SPEED, X, Y
 from dynamics.road_networks.geometry.layout import ALONG
 from dynamics.road_networks.simulation.frame_kernels import ego_of
-from shield.certificate.simulated.roads import ExactRoads
+from shield.certificate.simulated.roads import SimulatedRoads
 
 FEW = settings(deadline=None, max_examples=8, suppress_health_check=list(HealthCheck))
 ENDS = {
@@ -42,7 +42,7 @@ class Driven:
 
     def __init__(self, env_id, seeds, decisions):
         finite = {"spawn_probability": 0.0} if "intersection" in env_id else {}
-        roads, (node, along) = ExactRoads(env_id, len(seeds), finite), ENDS[env_id]
+        roads, (node, along) = SimulatedRoads(env_id, len(seeds), finite), ENDS[env_id]
         last = [name[0] == node for name in roads.simulator.scenario.lanes]
         faster = roads.one().unwrapped.action_type.actions_indexes["FASTER"]
         roads.reset(list(seeds))

@@ -9,8 +9,8 @@ from hand_driven import Driven, drive
 
 from dynamics.roads.straight import StraightRoad
 from dynamics.traffic.assumptions import Assumptions
-from dynamics.traffic.occupancy import Surroundings
-from dynamics.traffic.rules_of_the_road import Ego, Rule, permits
+from dynamics.traffic.occupancy import OtherVehicles
+from dynamics.traffic.rules_of_the_road import EgoFootprint, RoadRule, rule_violations
 from shield import ShieldConfig
 
 IDLE, FASTER = 1, 3
@@ -66,9 +66,9 @@ def test_a_leader_that_rolls_back_is_a_violator_for_a_filter_of_actions(hz, peri
 @pytest.mark.parametrize(
     ("change", "rule"),
     [
-        ((-1e-7, 0, 0, 0), Rule.REVERSING),  # the place that it stands in
-        ((0, 1e-7, 0, 0), Rule.LANES),  # out of the middle of its lane, and no further
-        ((0, 0, 0, -1e-6), Rule.REVERSING),
+        ((-1e-7, 0, 0, 0), RoadRule.REVERSING),  # the place that it stands in
+        ((0, 1e-7, 0, 0), RoadRule.LANES),  # out of the middle of its lane, and no further
+        ((0, 0, 0, -1e-6), RoadRule.REVERSING),
     ],
 )
 @pytest.mark.parametrize("frames", [1, 3])
@@ -77,9 +77,9 @@ def test_growth_of_any_size_is_noticed(change, rule, frames):
     row = np.array([[30.0, 4.25, 0.0, 0.0, 5.0, 2.0, 0.0]])
 
     def around(rows, before=None):
-        return Surroundings(rows, rows[:, :4], StraightRoad.from_lanes(3), Assumptions.idm(), 0.1, before)
+        return OtherVehicles(rows, rows[:, :4], StraightRoad.from_lanes(3), Assumptions.idm(), 0.1, before)
 
     later = row + np.array([[*change, 0, 0, 0]])
-    first, far = around(row), Ego(1e6, 0.0, 0.0, 20.0, 4.5, 1.3, 2.5, 1.0, False)
-    found = permits(first, around(later, first if frames == 1 else None), 0.1 * frames, np.zeros(1, bool), far)
-    assert Rule(int(found.grown[0])) & rule
+    first, far = around(row), EgoFootprint(1e6, 0.0, 0.0, 20.0, 4.5, 1.3, 2.5, 1.0, False)
+    found = rule_violations(first, around(later, first if frames == 1 else None), 0.1 * frames, np.zeros(1, bool), far)
+    assert RoadRule(int(found.grown[0])) & rule

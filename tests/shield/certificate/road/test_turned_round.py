@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from dynamics.roads.straight import StraightRoad
 from dynamics.traffic.assumptions import Assumptions
-from dynamics.traffic.occupancy import Surroundings
-from dynamics.traffic.occupancy_kernels import coming_place
-from dynamics.traffic.rules_of_the_road import Ego, Rule, permits
+from dynamics.traffic.occupancy import OtherVehicles
+from dynamics.traffic.occupancy_kernels import least_next_position
+from dynamics.traffic.rules_of_the_road import EgoFootprint, RoadRule, rule_violations
 from shield import ShieldedEnv
 
 
@@ -79,12 +79,12 @@ def test_a_vehicle_that_keeps_its_heading_is_no_violator(inputs):
     assert drive(10, 9.0, 0.0, inputs)[1:] == (False, 0)
 
 
-ROAD, FAR = StraightRoad.from_lanes(3), Ego(1e6, 0.0, 0.0, 20.0, 4.5, 1.3, 2.5, 1.0, False)
+ROAD, FAR = StraightRoad.from_lanes(3), EgoFootprint(1e6, 0.0, 0.0, 20.0, 4.5, 1.3, 2.5, 1.0, False)
 
 
 def one(x, heading, speed, dt, before=None):
     row = np.array([[x, 4.0, heading, speed, 5.0, 2.0, 0.0]])
-    return Surroundings(row, row[:, :4], ROAD, Assumptions.idm(), dt, before)
+    return OtherVehicles(row, row[:, :4], ROAD, Assumptions.idm(), dt, before)
 
 
 @settings(deadline=None)
@@ -97,11 +97,11 @@ def one(x, heading, speed, dt, before=None):
 def test_the_predicted_place_of_the_coming_frame_is_that_of_the_bound(heading, speed, lost, dt):
     before = one(0.0, 0.0, speed, dt)
     now = one(speed * dt - min(lost, abs(speed) * dt), heading, speed, dt, before)
-    place = coming_place.py_func(0, now.states, now.stretch, now.motion, now.bodies)
+    place = least_next_position.py_func(0, now.states, now.stretch, now.motion, now.bodies)
     assert place == pytest.approx(now.rear(2)[0, 0] + now.reach[0], abs=1e-9)
     leads = now.states[0, 0] + speed * math.cos(heading) * dt
-    grown = permits(before, now, dt, np.zeros(1, bool), FAR).grown[0]
+    grown = rule_violations(before, now, dt, np.zeros(1, bool), FAR).grown[0]
     if leads < place - 1e-6 and speed > 0:
-        assert Rule.WAY in Rule(int(grown))
+        assert RoadRule.WAY in RoadRule(int(grown))
     if place <= leads <= now.states[0, 0] + max(speed, 0.0) * dt:
-        assert Rule.WAY not in Rule(int(grown))
+        assert RoadRule.WAY not in RoadRule(int(grown))

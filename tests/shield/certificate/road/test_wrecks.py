@@ -8,10 +8,10 @@ from hand_driven import Driven, drive
 
 from dynamics.roads.straight import StraightRoad
 from dynamics.traffic.assumptions import Assumptions
-from dynamics.traffic.occupancy import Surroundings
-from dynamics.traffic.rules_of_the_road import Ego, Rule, permits
+from dynamics.traffic.occupancy import OtherVehicles
+from dynamics.traffic.rules_of_the_road import EgoFootprint, RoadRule, rule_violations
 
-FAR = Ego(1e6, 0.0, 0.0, 20.0, 4.5, 1.3, 2.5, 1.0, False)
+FAR = EgoFootprint(1e6, 0.0, 0.0, 20.0, 4.5, 1.3, 2.5, 1.0, False)
 
 
 class Wreck(Driven):
@@ -27,7 +27,7 @@ class Wreck(Driven):
 
 
 def around(row, dt, before=None):
-    return Surroundings(row, row[:, :4], StraightRoad.from_lanes(3), Assumptions.idm(), dt, before)
+    return OtherVehicles(row, row[:, :4], StraightRoad.from_lanes(3), Assumptions.idm(), dt, before)
 
 
 DRIVES = {
@@ -69,7 +69,7 @@ def test_the_permitted_motion_of_a_wreck_stays_inside_its_bound(dt):
             v = row[0, 3]
             row = row + np.array([[max(v, 0.0) * dt, 0, 0, -min(rate * max(6.0, v) * dt, max(v, 0.0)), 0, 0, 0]])
             new = around(row, dt, old)
-            broken |= int(permits(old, new, dt, np.zeros(1, bool), FAR).broken[0])
+            broken |= int(rule_violations(old, new, dt, np.zeros(1, bool), FAR).broken[0])
             if rate == 1.0:
                 assert row[0, 0] - 2.5 >= rears[k] - 1e-9
             old = new
@@ -81,8 +81,8 @@ def test_growth_of_a_body_is_noticed(length, width, grown):
     row = np.array([[0.0, 4.0, 0.0, 10.0, 5.0, 2.0, 0.0]])
     later = np.array([[1.0, 4.0, 0.0, 10.0, length, width, 0.0]])
     first = around(row, 0.1)
-    found = permits(first, around(later, 0.1, first), 0.1, np.zeros(1, bool), FAR)
-    assert bool(found.grown[0] & int(Rule.SIZE)) == grown
+    found = rule_violations(first, around(later, 0.1, first), 0.1, np.zeros(1, bool), FAR)
+    assert bool(found.grown[0] & int(RoadRule.SIZE)) == grown
 
 
 @pytest.mark.parametrize("hz", [5, 15])

@@ -9,8 +9,8 @@ from dynamics.highway_simulator.layout import SPEED, TARGET, TARGET_SPEED
 from dynamics.highway_simulator.simulator import Simulator
 from shield import ShieldConfig
 from shield.certificate.simulated.closest import best_plan
-from shield.certificate.simulated.search import depart, enter, travel
-from shield.certificate.simulated.workspace import ANY, Wish, new_search
+from shield.certificate.simulated.search import begin_action, finish_action, set_root_scene
+from shield.certificate.simulated.workspace import ANY, LaneSpeedTarget, new_search
 from shield.config import Buffer
 
 DENSE = {"vehicles_density": 1.6}
@@ -56,11 +56,11 @@ def plainly(search, only, never, wish, floor):
                     continue
                 for array, saved in zip(moving(search), state, strict=True):
                     array[0] = saved
-                bound = depart(search, 0, spare, action)
+                bound = begin_action(search, 0, spare, action)
                 if bound in seen:
                     continue
                 seen.add(bound)
-                least, lost = travel(search, spare, wish, floor)
+                least, lost = finish_action(search, spare, wish, floor)
                 if least < floor:
                     continue
                 kind = int(search.futures.g[spare, TARGET, 0]), float(search.futures.f[spare, TARGET_SPEED, 0])
@@ -90,9 +90,9 @@ def test_the_search_finds_the_result_of_a_plain_search(seed, floor):
     search = new_search(simulator, config)
     for k in range(4):
         simulator.step([3])
-        enter(search, simulator.worlds, 0)
+        set_root_scene(search, simulator.worlds, 0)
         for only, never, speed in ((ANY, ANY, 30.0), (ANY, 3, 30.0), (k, ANY, 20.0), (ANY, 1, 25.0)):
-            wish = Wish(speed, 2.0, 0.0) if speed == 25.0 else Wish(speed, 0.0, 0.8)
+            wish = LaneSpeedTarget(speed, 2.0, 0.0) if speed == 25.0 else LaneSpeedTarget(speed, 0.0, 0.8)
             plan, margin = plainly(search, only, never, wish, floor)
             lasts, found = best_plan(search, only, never, DEPTH, wish, floor)
             assert lasts == len(plan)

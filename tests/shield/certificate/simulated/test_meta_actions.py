@@ -29,9 +29,9 @@ from shield import ConfigError, Reason, Shield, ShieldConfig, ShieldedEnv
 from shield.batch.arrays import empty_records
 from shield.batch.codes import TIERS
 from shield.batch.highways import ShieldedHighways
-from shield.certificate.simulated.decision_kernels import boxed_in, empty_plans, passes
-from shield.certificate.simulated.highways import ExactHighways
-from shield.certificate.simulated.search import enter, survives
+from shield.certificate.simulated.decision_kernels import empty_plans, has_no_certificate, try_proposal
+from shield.certificate.simulated.highways import SimulatedHighways
+from shield.certificate.simulated.search import find_sequence, set_root_scene
 from shield.certificate.simulated.workspace import new_search
 from shield.config import Buffer
 from shield.decision import Tier
@@ -117,8 +117,8 @@ def test_a_sequence_is_found_where_one_exists(seed, buffer):
     for _ in range(1 + seed % 4):
         simulator.step([3])
     for first in range(5):
-        enter(search, simulator.worlds, 0)
-        margin, exhausted = survives(search, first, plans.actions[0], 0)
+        set_root_scene(search, simulator.worlds, 0)
+        margin, exhausted = find_sequence(search, first, plans.actions[0], 0)
         there = goes_on(simulator, first, 4, buffer, bodies)
         assert margin >= 0 or not there or exhausted
         assert margin == -np.inf or (margin >= 0 and there)
@@ -156,7 +156,7 @@ def restore(arrays, before):
 @pytest.mark.parametrize("seed", [60, 78, 149, 212, 257, 329, 385])
 def test_every_verified_plan_is_clear_until_the_horizon(seed):
     """On these seeds some plans nearest to the proposal for 8 s are not clear, or none exists."""
-    highways, tiers, done = ExactHighways("highway-fast-v0", 1, DENSE), [], False
+    highways, tiers, done = SimulatedHighways("highway-fast-v0", 1, DENSE), [], False
     simulator, rows = highways.simulator, np.zeros((highways.simulator.scenario.bodies, 7))
     highways.reset([seed])
     while not done:
@@ -180,11 +180,11 @@ def test_the_mask_holds_the_actions_that_pass(seed):
     door, rng, boxes, done = shielded._door, np.random.default_rng(seed), 0, False
     while not done:
         mask, (simulator, search) = shielded.action_masks(), door._read()
-        boxes += boxed_in(door._plans, 0)
+        boxes += has_no_certificate(door._plans, 0)
         found = []
         for action in range(5):
             before = [array.copy() for array in door._plans]
-            found.append(passes(search, door._plans, empty_records(1, 1), simulator.worlds, 0, action))
+            found.append(try_proposal(search, door._plans, empty_records(1, 1), simulator.worlds, 0, action))
             restore(door._plans, before)
         assert mask.tolist() == (found if any(found) else [True] * 5)
         *_, terminated, truncated, _ = shielded.step(int(rng.integers(5)))
@@ -196,7 +196,7 @@ def test_the_mask_holds_the_actions_that_pass(seed):
 def test_a_dead_end_is_not_searched_again(seed):
     """On these seeds the budget would be spent on one dead end if it were entered again and again; no plan that
     keeps the buffer would be found."""
-    highways, rng, done = ExactHighways("highway-fast-v0", 1, BOXED), np.random.default_rng(seed), False
+    highways, rng, done = SimulatedHighways("highway-fast-v0", 1, BOXED), np.random.default_rng(seed), False
     highways.reset([seed])
     while not done:
         *_, terminated, truncated = highways.step([int(rng.integers(5))])
@@ -212,7 +212,7 @@ def test_the_shielded_ego_drives_and_does_not_crash_in_simulated_traffic():
 
 def test_the_policy_s_order_is_followed():
     """Of the alternatives that verify, the policy's preferred one is executed."""
-    highways = ExactHighways("highway-fast-v0", 1, DENSE)
+    highways = SimulatedHighways("highway-fast-v0", 1, DENSE)
     taken = {}
     for name, order in (("left", [0, 2, 1, 4, -1]), ("slow", [4, 1, 2, 0, -1])):
         actions = []
@@ -339,7 +339,7 @@ class Stranger(IDMVehicle):
             lambda: shielded(gym.make("parking-v0", config={"action": {"type": "DiscreteMetaAction"}})),
             "in a parking lot the shield filters ContinuousAction only",
         ),
-        (lambda: ExactHighways("highway-fast-v0", 1, None, ShieldConfig()), "Assumptions.simulated_traffic"),
+        (lambda: SimulatedHighways("highway-fast-v0", 1, None, ShieldConfig()), "Assumptions.simulated_traffic"),
         (
             lambda: shielded(gym.make("highway-v0", config={"other_vehicles_type": f"{__name__}.Stranger"})),
             "Stranger",
@@ -363,13 +363,13 @@ def test_settings_go_through_toml():
 
 
 def test_the_search_does_not_change_the_present_state():
-    highways = ExactHighways("highway-fast-v0", 1)
+    highways = SimulatedHighways("highway-fast-v0", 1)
     highways.reset([3])
     rows = np.zeros((highways.simulator.scenario.bodies, 7))
     look(highways.worlds, highways.simulator.scenario.rules, 0, rows)
     search, plans = new_search(highways.simulator, EXACT), empty_plans(1, 20)
-    enter(search, highways.worlds, 0)
-    survives(search, 3, plans.actions[0], 0)
+    set_root_scene(search, highways.worlds, 0)
+    find_sequence(search, 3, plans.actions[0], 0)
     after = rows.copy()
     look(highways.worlds, highways.simulator.scenario.rules, 0, after)
     assert np.array_equal(rows, after)

@@ -13,15 +13,15 @@ from dynamics.road_networks.simulation.frame_kernels import ego_of
 from evaluation.running.batch_episodes import UNMEASURED, Many
 from evaluation.running.certify import COLUMNS, FALLBACKS
 from evaluation.running.episodes import run_paired
-from evaluation.running.records import Variant, variant_for
+from evaluation.running.records import ShieldVariant, variant_for
 from evaluation.settings import get_setting
 from shield.batch.codes import TIERS
-from shield.certificate.simulated.closest import best_plan, stopping
-from shield.certificate.simulated.decision_kernels import longest
-from shield.certificate.simulated.highways import ExactHighways
-from shield.certificate.simulated.roads import ExactRoads
-from shield.certificate.simulated.search import enter, in_depth, leap, survives
-from shield.certificate.simulated.workspace import ANY, Wish
+from shield.certificate.simulated.closest import best_plan, stopping_cost
+from shield.certificate.simulated.decision_kernels import longest_sequence
+from shield.certificate.simulated.highways import SimulatedHighways
+from shield.certificate.simulated.roads import SimulatedRoads
+from shield.certificate.simulated.search import depth_first, find_sequence, set_root_scene, simulate_action
+from shield.certificate.simulated.workspace import ANY, LaneSpeedTarget
 from shield.config import ShieldConfig
 from shield.decision import Tier
 
@@ -64,7 +64,7 @@ def test_a_batch_without_a_shield_drives_the_episodes_of_single_environments():
     """Crashes are attributed as well."""
     setting, bare = get_setting("roundabout").with_traffic("aggressive"), ShieldConfig(mode="none")
     many = Many(setting, "faster", bare, envs=2).run(range(4))
-    alone = run_paired(setting, "faster", [Variant()], range(4), simulator="auto", jobs=1)
+    alone = run_paired(setting, "faster", [ShieldVariant()], range(4), simulator="auto", jobs=1)
     for column in ("seed", "crashed", "off_road", "attribution", "steps", "simulator"):
         assert many[column].tolist() == alone[column].tolist(), column
     np.testing.assert_allclose(many["return"], alone["return"], rtol=0, atol=1e-9)
@@ -76,7 +76,7 @@ def test_a_batch_without_a_shield_drives_the_episodes_of_single_environments():
 def test_an_ego_in_the_path_of_sliding_wrecks_drives_away(seed):
     """No plan keeps the buffer, and the plan that is clear for longest, to stand, is hit. The check of where plans
     end is off, since the ego would not come there otherwise."""
-    roads = ExactRoads("intersection-v0", 1)
+    roads = SimulatedRoads("intersection-v0", 1)
     roads._searches[0].rules.network.ids[:, CROSSES] = 0
     roads.reset([seed])
     boxed_in, crashed, over = 0, False, False
@@ -91,7 +91,7 @@ def test_an_ego_in_the_path_of_sliding_wrecks_drives_away(seed):
 @pytest.mark.parametrize(("seed", "duration"), [(252_049_686, 13), (5011, 30), (5296, 30), (5337, 30)])
 def test_no_plan_ends_inside_a_crossing(seed, duration):
     """An ego that stops there behind wrecks is clear of all present vehicles, and is hit by a later one."""
-    roads, over, crashed = ExactRoads("intersection-v0", 1, {"duration": duration}), False, False
+    roads, over, crashed = SimulatedRoads("intersection-v0", 1, {"duration": duration}), False, False
     roads.reset([seed])
     while not over:
         *_, terminated, truncated = roads.step([2])
@@ -101,7 +101,7 @@ def test_no_plan_ends_inside_a_crossing(seed, duration):
 
 def test_an_ego_that_stands_inside_a_crossing_may_stay_there():
     """A plan that ends inside a crossing is also taken where no other exists."""
-    roads = ExactRoads("intersection-v0", 1)
+    roads = SimulatedRoads("intersection-v0", 1)
     (search,), crossing, stood, forced = roads._searches, False, 0, 0
     for seed in range(40):
         roads.reset([seed])
@@ -124,7 +124,7 @@ def test_an_ego_that_stands_inside_a_crossing_may_stay_there():
 def test_the_longest_clear_plan_lasts_as_long_as_the_stored_plan(seed):
     """Wrecks lie in the bend: no plan keeps the buffer. A decision exceeds its node budget only by the actions of
     its last state."""
-    roads, boxed_in, over = ExactRoads("u-turn-v0", 1), 0, False
+    roads, boxed_in, over = SimulatedRoads("u-turn-v0", 1), 0, False
     (search,) = roads._searches
     bounds, most = search.bounds, 0
     roads.reset([seed])
@@ -141,7 +141,7 @@ def test_the_longest_clear_plan_lasts_as_long_as_the_stored_plan(seed):
 
 def driven(env_id, seed, decisions):
     """The road after a number of decisions of always FASTER, and the stored plan."""
-    roads = ExactRoads(env_id, 1)
+    roads = SimulatedRoads(env_id, 1)
     roads.reset([seed])
     for _ in range(decisions):
         roads.step([FASTER])
@@ -150,7 +150,9 @@ def driven(env_id, seed, decisions):
 
 
 def keeps_buffer(search, actions):
-    return all(leap(search, k, k + 1, a, Wish(0.0, 0.0, 0.0), 0.0)[0] >= 0 for k, a in enumerate(actions))
+    return all(
+        simulate_action(search, k, k + 1, a, LaneSpeedTarget(0.0, 0.0, 0.0), 0.0)[0] >= 0 for k, a in enumerate(actions)
+    )
 
 
 @pytest.mark.parametrize("env_id", ["two-way-v0", "u-turn-v0"])
@@ -160,11 +162,11 @@ def test_another_first_action_is_continued_with_the_stored_plan(env_id):
     for seed in range(12):
         roads, search, stored, length = driven(env_id, seed, 2)
         for first in set(range(5)) - {int(stored[0])}:
-            enter(search, roads.worlds, 0)
+            set_root_scene(search, roads.worlds, 0)
             sequence = [first, *stored[1:length].tolist()]
             if any(keeps_buffer(search, [*sequence, last]) for last in range(5)):
-                enter(search, roads.worlds, 0)
-                assert survives(search, first, stored, length)[0] >= 0
+                set_root_scene(search, roads.worlds, 0)
+                assert find_sequence(search, first, stored, length)[0] >= 0
                 assert search.plan[:length].tolist() == sequence
                 joined += len(set(sequence)) > 2
     assert joined > 3
@@ -177,26 +179,26 @@ def test_a_proposal_that_cannot_join_the_stored_plan_slows_down(env_id, seed, de
     """On these seeds the whole node budget spent on joining the stored plan finds nothing."""
     roads, search, stored, length = driven(env_id, seed, decisions)
     budget = search.bounds.budget
-    enter(search, roads.worlds, 0)
-    assert in_depth(search, FASTER, stored, length, 0, 0.0, budget)[0] < search.bounds.depth
-    enter(search, roads.worlds, 0)
-    assert survives(search, FASTER, stored, length)[0] >= 0
+    set_root_scene(search, roads.worlds, 0)
+    assert depth_first(search, FASTER, stored, length, 0, 0.0, budget)[0] < search.bounds.depth
+    set_root_scene(search, roads.worlds, 0)
+    assert find_sequence(search, FASTER, stored, length)[0] >= 0
     assert search.spent[0] <= budget + len(search.order)
 
 
 @pytest.mark.parametrize("seed", [52, 130])
 def test_the_longest_clear_plan_is_searched_beyond_one_state_per_lane_and_speed(seed):
     """Boxed in without a stored plan, the ego with the largest clearance so far would be hit."""
-    roads = ExactRoads("u-turn-v0", 1)
+    roads = SimulatedRoads("u-turn-v0", 1)
     roads.reset([seed])
     for _ in range(9):
         roads.step([FASTER])
     (search,) = roads._searches
     assert not roads.plans.verified[0]
-    enter(search, roads.worlds, 0)
-    of_each, _ = best_plan(search, ANY, ANY, search.bounds.depth, stopping(search), -1e9)
-    enter(search, roads.worlds, 0)
-    lasts, _ = longest(search, roads.plans.actions[0], 0)
+    set_root_scene(search, roads.worlds, 0)
+    of_each, _ = best_plan(search, ANY, ANY, search.bounds.depth, stopping_cost(search), -1e9)
+    set_root_scene(search, roads.worlds, 0)
+    lasts, _ = longest_sequence(search, roads.plans.actions[0], 0)
     assert 0 < of_each < lasts
 
 
@@ -204,7 +206,7 @@ def test_the_longest_clear_plan_is_searched_beyond_one_state_per_lane_and_speed(
 def test_the_stored_plan_is_continued_and_stays_verified(seed):
     """On these seeds the node budget of a decision finds nothing from the present state, and little from the end of
     the plan."""
-    roads, over = ExactRoads("u-turn-v0", 1), False
+    roads, over = SimulatedRoads("u-turn-v0", 1), False
     roads.reset([seed])
     while not over:
         *_, terminated, truncated = roads.step([FASTER])
@@ -215,7 +217,7 @@ def test_the_stored_plan_is_continued_and_stays_verified(seed):
 @pytest.mark.parametrize(("env_id", "decisions"), [("intersection-v0", 7), ("u-turn-v0", 7), ("highway-fast-v0", 9)])
 def test_the_lookahead_of_each_road(env_id, decisions):
     config = replace(CONFIG, horizon=9.0, network_horizon=7.0)
-    of = ExactHighways if env_id == "highway-fast-v0" else ExactRoads
+    of = SimulatedHighways if env_id == "highway-fast-v0" else SimulatedRoads
     assert of(env_id, 1, shield=config)._searches[0].bounds.depth == decisions
 
 
@@ -227,7 +229,7 @@ def test_an_ego_that_proposes_the_exit_takes_it():
 
 
 def test_a_finished_episode_is_followed_by_the_next():
-    roads = ExactRoads("roundabout-v1", 1, {"duration": 2})
+    roads = SimulatedRoads("roundabout-v1", 1, {"duration": 2})
     roads.reset([3])
     for _ in range(3):
         _, _, terminated, truncated = roads.step([1], again=True)
@@ -239,7 +241,7 @@ def test_a_finished_episode_is_followed_by_the_next():
 def test_the_proposal_is_executed_without_a_shield(name):
     """The same episodes as in the simulator alone."""
     setting = get_setting(name)
-    roads = ExactRoads(setting.env_id, 2, setting.configured, ShieldConfig(mode="none"))
+    roads = SimulatedRoads(setting.env_id, 2, setting.configured, ShieldConfig(mode="none"))
     alone = RoadSimulator(setting.env_id, 2, setting.configured)
     assert np.array_equal(roads.reset([3, 4]), alone.reset([3, 4]))
     for k in range(6):
@@ -255,8 +257,8 @@ def test_the_proposal_is_executed_without_a_shield(name):
 
 def test_unsupported_roads_and_options_are_refused():
     with pytest.raises(ConfigError, match="straight highways only"):
-        ExactRoads("merge-v0", 1, tape=True)
+        SimulatedRoads("merge-v0", 1, tape=True)
     with pytest.raises(ConfigError, match="straight highways only"):
-        ExactRoads("merge-v0", 1).reset_to(np.zeros((1, 3)), [0])
+        SimulatedRoads("merge-v0", 1).reset_to(np.zeros((1, 3)), [0])
     with pytest.raises(ConfigError, match="filter meta-actions"):
-        ExactRoads("intersection-v1", 1)
+        SimulatedRoads("intersection-v1", 1)

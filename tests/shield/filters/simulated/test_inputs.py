@@ -16,7 +16,7 @@ from policies import Always
 from slowly import later
 
 from shield import ConfigError, Reason, Shield, ShieldConfig, ShieldedEnv
-from shield.certificate.simulated.inputs import play
+from shield.certificate.simulated.inputs import advance_backup
 from shield.decision import Tier
 
 EXACT = ShieldConfig.simulated_traffic()
@@ -115,7 +115,7 @@ def test_the_stored_plan_stays_clear_until_the_horizon(env_id):
         present = door._present._replace(futures=deepcopy(door._present.futures))
         tail, inputs, tried = deepcopy(door._tail), np.zeros(2), tried + 1
         for _ in range(int(tail.counts[0]) * present.rules.numbers[0]):
-            play(present, tail, inputs)
+            advance_backup(present, tail, inputs)
             push(copy, inputs)
             assert copy.vehicle.on_road
             assert gap(copy, EXACT.buffer) >= -1e-9

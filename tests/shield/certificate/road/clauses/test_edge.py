@@ -12,13 +12,13 @@ from cores import ContinuousCore
 
 from dynamics.scenes.scene import Scene
 from shield.certificate.road.clauses.edge import verdicts
-from shield.certificate.road.verify import Surveyor
+from shield.certificate.road.verify import PathVerifier
 
 
 def along_gap(scene) -> float:
     path = np.repeat(scene.ego_road[None], 2, axis=0)
     lanes = np.zeros(1, dtype=int)
-    return float(Surveyor(scene, CONFIG).clearance(path[None], lanes, lanes).margin[0])
+    return float(PathVerifier(scene, CONFIG).clearance(path[None], lanes, lanes).margin[0])
 
 
 def test_no_plan_leaves_the_road_or_reverses():

@@ -13,17 +13,24 @@ from hypothesis import strategies as st
 
 from dynamics.compiled import compiled
 from shield.certificate.road.clauses.edge import lanes_touched, verdicts
-from shield.certificate.road.clauses.entering import entrants, joins, leaves_sight, neighbours, sides_taken
-from shield.certificate.road.clauses.followers import lanes_held
+from shield.certificate.road.clauses.entering import joins, lateral_extents, leaves_sight, mark_entrants, neighbours
+from shield.certificate.road.clauses.followers import updated_lanes
 from shield.certificate.road.clauses.footprint import Footprint
-from shield.certificate.road.clauses.others import Others
-from shield.certificate.road.clauses.separation import Duty, Vehicle, coming_frame, extents, separation, turns
+from shield.certificate.road.clauses.others import RoadVehicles
+from shield.certificate.road.clauses.separation import (
+    FollowerResponse,
+    UnobligatedVehicle,
+    coming_frame,
+    extents,
+    separation,
+    turns,
+)
 from shield.certificate.road.clauses.stopping_room import margin_of
 
 CENTERS = np.array([0.0, 4.0, 8.0])
 SIZE = Footprint(4.5, 1.3, 5.0, 2.0, 0.1, 0.05, 0.02, 0.01)
 DT = 0.1
-DUTY = Duty(3.0, 4, 6.0, 5.0, 40.0, 75.0, 0, DT)
+DUTY = FollowerResponse(3.0, 4, 6.0, 5.0, 40.0, 75.0, 0, DT)
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -71,7 +78,7 @@ def separations_of(paths, t):
         for j in range(m):
             sides = float(t["low"][at, j]), float(t["high"][at, j])
             duties = bool(t["follows"][j]), float(t["centers"][at, j]), int(t["at_once"][at, j])
-            other = Vehicle(*sides, *sides, paths.shape[1], t["lengths"][j], *duties, *t["followers"][:, j])
+            other = UnobligatedVehicle(*sides, *sides, paths.shape[1], t["lengths"][j], *duties, *t["followers"][:, j])
             out[i, j], first = separation_of(paths[i], SIZE, other, t["rear"][j], DUTY)
             reached[i] = min(reached[i], first)
     return out, reached
@@ -182,18 +189,18 @@ def test_a_lane_is_owned_from_the_stored_plan_on_until_the_ego_has_left_it():
     none = np.zeros(0, dtype=bool)
     marks = np.zeros(3, dtype=np.intp), none, none, nobody
     near = 3.0, 2.1, 3.1
-    visible, owned, _ = lanes_held(0.1, CENTERS, 1, *near, -1, *marks)
+    visible, owned, _ = updated_lanes(0.1, CENTERS, 1, *near, -1, *marks)
     assert list(owned) == [True, False, False]
     assert list(visible) == [1, 0, 0]
-    _, owned, _ = lanes_held(1.5, CENTERS, 1, *near, 1, visible, owned, none, nobody)
+    _, owned, _ = updated_lanes(1.5, CENTERS, 1, *near, 1, visible, owned, none, nobody)
     assert list(owned) == [True, False, False]  # the stored plan stops in lane 1, which is not touched yet
-    visible, owned, _ = lanes_held(2.0, CENTERS, 2, *near, 1, visible, owned, none, nobody)
+    visible, owned, _ = updated_lanes(2.0, CENTERS, 2, *near, 1, visible, owned, none, nobody)
     assert list(owned) == [True, True, False]
     assert list(visible) == [3, 2, 0]
-    _, owned, _ = lanes_held(3.0, CENTERS, 1, *near, 1, visible, owned, none, nobody)
+    _, owned, _ = updated_lanes(3.0, CENTERS, 1, *near, 1, visible, owned, none, nobody)
     assert list(owned) == [True, True, False]  # a corner of it is in lane 0 still
     for stored in (0, 1):
-        _, last, _ = lanes_held(3.9, CENTERS, 1, *near, stored, visible, owned, none, nobody)
+        _, last, _ = updated_lanes(3.9, CENTERS, 1, *near, stored, visible, owned, none, nobody)
         assert list(last) == [stored == 0, True, False]  # a plan to stop there keeps it
 
 
@@ -205,7 +212,7 @@ def others_at(lanes, ahead, across=0.0, r=None, gains=True):
     where = CENTERS[lanes] if r is None else np.asarray(r, float)
     sides = where - 1.25, where + 1.25
     bodies = ahead, ahead, zero + 7, nobody, *sides, lanes, where, zero + across
-    others = Others(*bodies, nobody, nowhere, nowhere.copy())
+    others = RoadVehicles(*bodies, nobody, nowhere, nowhere.copy())
     return entering(others, np.full((m, 2), gains))
 
 
@@ -217,14 +224,14 @@ def entering(others, gains, before=None, visible=(0, 0, 0), stored=-1, entered=-
     asked = np.empty_like(gains)
     plan = (stored, entered)
     neighbours(others, CENTERS, 4.0, before, np.array(visible), plan, asked)
-    entrants(others, gains & asked, CENTERS, before, np.array(visible), plan, 3, 30)
+    mark_entrants(others, gains & asked, CENTERS, before, np.array(visible), plan, 3, 30)
     return others
 
 
 def sides(path, lane, fail, others, r=0.0):
     m = len(others.lane)
     low, high, home = np.empty(m), np.empty(m), np.empty(m, dtype=np.intp)
-    sides_taken(lane, fail, np.arange(m), others, np.full(m, 2.0), CENTERS, 0.25, low, high, home)
+    lateral_extents(lane, fail, np.arange(m), others, np.full(m, 2.0), CENTERS, 0.25, low, high, home)
     for entered in (lane, fail):
         if leaves_sight(r, path[0], CENTERS[entered], 3.0) < path.shape[1]:
             for j in range(m):

@@ -28,7 +28,7 @@ ACCEPTED = (
     off(
         "a decision held back to what its frame does not try",
         "shield.pipelines.meta_actions",
-        "MetaActions.__init__",
+        "MetaActionPipeline.__init__",
         "_(_=True)",
         "{1}()",
         "tests/shield/pipelines/test_first_frame.py",
@@ -44,7 +44,7 @@ ACCEPTED = (
     off(
         "frame held back to -0.3 m",
         FRAMES,
-        "HoldBack.plans",
+        "AccelerationCap.plans",
         "_ >= 0",
         "{1} >= -0.3",
         "mended[frame]",
@@ -60,13 +60,13 @@ ACCEPTED = (
     both(
         "frame evades at -0.3 m",
         Edit(FRAMES, "_evade", "_ >= 0", "{1} >= -0.3"),
-        Edit(FRAMES, "Frames.fall_back", "_ >= 0", "{1} >= -0.3"),
+        Edit(FRAMES, "FramePipeline.fall_back", "_ >= 0", "{1} >= -0.3"),
         tests=("stops",),
     ),
     off(
         "fail-safe of an input chosen at -0.3 m",
         INPUTS,
-        "Inputs.judge",
+        "InputPipeline.judge",
         "_ >= 0",
         "{1} >= -0.3",
         "lanes",
@@ -74,19 +74,19 @@ ACCEPTED = (
     off(
         "no other fail-safe of an input above -0.3 m",
         INPUTS,
-        "Inputs.plans",
+        "InputPipeline.plans",
         "_[0] >= 0",
         "{1}[0] >= -0.3",
         "lanes",
     ),
     both(
         "input repaired to -0.3 m",
-        Edit(SEARCH, "Search._sweep", "_ >= 0", "{1} >= -0.3", which=1),
-        Edit(SEARCH, "Search._sweep", "_ >= 0", "{1} >= -0.3"),
-        Edit(SEARCH, "Search._linearise", "_ >= 0", "{1} >= -0.3"),
-        Edit(SEARCH, "Search._scan", "_ >= 0", "{1} >= -0.3", which=1),
-        Edit(SEARCH, "Search._scan", "_ >= 0", "{1} >= -0.3"),
-        Edit(SEARCH, "Search._nearest", "_ >= 0", "{1} >= -0.3"),
+        Edit(SEARCH, "NearestInputSearch._sweep", "_ >= 0", "{1} >= -0.3", which=1),
+        Edit(SEARCH, "NearestInputSearch._sweep", "_ >= 0", "{1} >= -0.3"),
+        Edit(SEARCH, "NearestInputSearch._linearise", "_ >= 0", "{1} >= -0.3"),
+        Edit(SEARCH, "NearestInputSearch._scan", "_ >= 0", "{1} >= -0.3", which=1),
+        Edit(SEARCH, "NearestInputSearch._scan", "_ >= 0", "{1} >= -0.3"),
+        Edit(SEARCH, "NearestInputSearch._nearest", "_ >= 0", "{1} >= -0.3"),
         tests=("mended[throttle]",),
     ),
     off(
@@ -125,7 +125,7 @@ ACCEPTED = (
     off(
         "input evades at -0.3 m",
         INPUTS,
-        "Inputs._evade",
+        "InputPipeline._evade",
         "_ >= 0",
         "{1} >= -0.3",
         "evades[ContinuousCore-shield.pipelines.inputs]",
@@ -133,7 +133,7 @@ ACCEPTED = (
     off(
         "parking repaired near the proposal to -0.05 m",
         LOT,
-        "ParkingLot._nearest",
+        "ParkingLotPipeline._nearest",
         "_[0] >= 0",
         "{1}[0] >= -0.05",
         TESTS_OF_LOT,
@@ -141,7 +141,7 @@ ACCEPTED = (
     off(
         "parking repaired far from the proposal to -0.05 m",
         LOT,
-        "ParkingLot._nearest",
+        "ParkingLotPipeline._nearest",
         "_ >= 0",
         "{1} >= -0.05",
         TESTS_OF_LOT,

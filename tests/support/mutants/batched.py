@@ -36,7 +36,7 @@ BATCHED = (
     off(
         "offenders are never forgiven",
         f"{BATCH}.supervising",
-        "forgive",
+        "clear_violators",
         "_[_, _] = False",
         "pass",
         _TESTS,

@@ -68,7 +68,7 @@ CLEARANCE = (
     off(
         "gaps of the map off",
         VERIFY,
-        "Surveyor._close_gaps",
+        "PathVerifier._close_gaps",
         "_ is not None",
         "{1} is None and {1}",
         "gap",
@@ -85,7 +85,7 @@ CLEARANCE = (
     off(
         "slip-in off",
         TOGETHER,
-        "judge",
+        "evaluate_path",
         "_ == 0",
         "{1} < 0",
         "slip",
@@ -119,7 +119,7 @@ CLEARANCE = (
     off(
         "who is still settling does not slip in",
         SLIPS,
-        "may_slip",
+        "find_cut_ins",
         "_[_] > _[_]",
         "{1}[{2}] != {3}[{2}]",
         "tests/evaluation/running/test_found_in_abz.py",

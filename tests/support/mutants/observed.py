@@ -22,7 +22,7 @@ OBSERVED = (
     off(
         "nobody comes up who has never been seen",
         _UNSEEN,
-        "Behind.states",
+        "UnseenBehind.states",
         "_ > -_",
         "False",
         f"{_UNSEEN_TESTS}::test_an_unseen_vehicle_approaches_at_its_assumed_limit",
@@ -31,7 +31,7 @@ OBSERVED = (
     off(
         "a stranger stays where it was",
         _UNSEEN,
-        "Behind.go_on",
+        "UnseenBehind.go_on",
         "_ += (_ - _) * _",
         "pass",
         f"{_UNSEEN_TESTS}::test_an_unseen_vehicle_approaches_at_its_assumed_limit",
@@ -39,7 +39,7 @@ OBSERVED = (
     off(
         "who was passed stands still",
         _UNSEEN,
-        "Behind.go_on",
+        "UnseenBehind.go_on",
         "_[:, 0] += (_[:, 2] - _) * _",
         "{1}[:, 0] -= {3} * {4}",
         f"{_UNSEEN_TESTS}::test_a_passed_vehicle_is_never_nearer_than_its_bound",
@@ -120,7 +120,7 @@ OBSERVED = (
     off(
         "a bad sensor is believed of newcomers",
         _TRACKING,
-        "_born",
+        "_initial_estimate",
         "_[:, _] += _ / (_ + _ ** 2) * (_ - _[:, _])",
         "pass",
         f"{_TRACKING_TESTS}::test_the_speed_of_a_bad_sensor_is_weighed_against_the_prior",
@@ -160,7 +160,7 @@ OBSERVED = (
     off(
         "nobody monitors the sensor",
         _MONITOR,
-        "Monitor.alarmed",
+        "SensorMonitor.alarmed",
         "_ > _",
         "False",
         _CHANGED,
@@ -192,7 +192,7 @@ OBSERVED = (
     off(
         "what was seen a decision ago counts on",
         _MONITOR,
-        "Monitor.after",
+        "SensorMonitor.after",
         "_[0] > _ - _",
         "True",
         f"{_LEARNED_TESTS}::test_observations_older_than_a_decision_do_not_count_for_the_alarm",
@@ -241,7 +241,7 @@ OBSERVED = (
     off(
         "through noise the fallback looks at bounds alone",
         _FRAMES,
-        "Frames.fall_back",
+        "FramePipeline.fall_back",
         "_ is not None",
         "False",
         f"{_NOISE_TESTS}::test_the_fallback_uses_the_likely_places_inside_bounds",
@@ -250,7 +250,7 @@ OBSERVED = (
     off(
         "the fallback leaves its lane for one that looks freer",
         _FRAMES,
-        "_likeliest.clear",
+        "_least_bad_of_shrunk_bounds.clear",
         "_ & (_[-1]._ >= 0)",
         "{2}[-1].margin >= 0",
         "tests/evaluation/falsification/test_splitting.py::test_crashes_that_splitting_has_found_are_avoided",

@@ -10,7 +10,7 @@ OWED = (
     off(
         "a strip does not shrink to where the ego stops",
         DUTIES,
-        "threats",
+        "find_unobligated",
         "_, _ = (_[_] - _, _[_] + _)",
         "pass",
         "tests/shield/certificate/road/test_plans_that_last.py",
@@ -35,7 +35,7 @@ OWED = (
     off(
         "nobody enters but who is on the way",
         ENTERING,
-        "entrants",
+        "mark_entrants",
         "_ or _[_, 1 if _ else 0]",
         "{1}",
         "blind",
@@ -43,7 +43,7 @@ OWED = (
     off(
         "nobody enters but who gains by it",
         ENTERING,
-        "entrants",
+        "mark_entrants",
         "_ or _[_, 1 if _ else 0]",
         "{2}[{3}, 1 if {4} else 0]",
         "loses",
@@ -51,7 +51,7 @@ OWED = (
     off(
         "seen at once by one that is turning in",
         ENTERING,
-        "entrants",
+        "mark_entrants",
         "_[_] >= _",
         "{1}[{2}] > 0",
         "turning",
@@ -59,7 +59,7 @@ OWED = (
     off(
         "who turns in gives way",
         ENTERING,
-        "entrants",
+        "mark_entrants",
         "_ and _",
         "False",
         "turning",
@@ -68,7 +68,7 @@ OWED = (
     off(
         "begun before it could see the ego",
         ENTERING,
-        "entrants",
+        "mark_entrants",
         "_[_] > _",
         "{1}[{2}] > 0",
         "tests/shield/certificate/road/clauses/test_kernels.py",
@@ -84,7 +84,7 @@ OWED = (
     off(
         "everybody behind owes",
         DUTIES,
-        "threats",
+        "find_unobligated",
         "_[_] and _[_]",
         "{1}[{2}]",
         "owes",
@@ -92,7 +92,7 @@ OWED = (
     off(
         "owed even where the path enters the lane",
         DUTIES,
-        "threats",
+        "find_unobligated",
         "_ = _ and (not (_ or _[_, _]))",
         "pass",
         "owes",
@@ -100,7 +100,7 @@ OWED = (
     off(
         "those ahead owe",
         DUTIES,
-        "threats",
+        "find_unobligated",
         "_[_] and _[_]",
         "{3}[{2}]",
         "owes",
@@ -116,7 +116,7 @@ OWED = (
     off(
         "duty ends where the lane is owned no more",
         DUTIES,
-        "others_of",
+        "fill_vehicles",
         "_ and _ < _[1] + _ and (_ > _[1] - _)",
         "False and {2} < {3}[1] + {4} and ({5} > {3}[1] - {4})",
         "lasts",
@@ -124,7 +124,7 @@ OWED = (
     off(
         "duty ends where a corner comes beside a corner",
         DUTIES,
-        "others_of",
+        "fill_vehicles",
         "_ = _(_, _, _, _, _, 0.0) >= 0",
         "pass",
         "corner",
@@ -132,7 +132,7 @@ OWED = (
     off(
         "duty lasts where the buffer is touched",
         DUTIES,
-        "others_of",
+        "fill_vehicles",
         "_(_, _, _, _, _, 0.0) >= 0",
         "True",
         "corner",
@@ -140,7 +140,7 @@ OWED = (
     off(
         "nobody joins where the ego has got out of sight",
         DUTIES,
-        "hold_lanes",
+        "update_lanes",
         "_[_, _] = _[_, _] or not _[_]",
         "pass",
         "anybody",
@@ -148,7 +148,7 @@ OWED = (
     off(
         "who enters need not gain by it",
         MOBIL,
-        "_pays",
+        "_mobil_permits",
         "_ >= _ - _ and _ <= _ + _",
         "{4} <= {5} + {3}",
         TESTS_OF_MOBIL,
@@ -156,7 +156,7 @@ OWED = (
     off(
         "who leaves a lane leads there",
         MOBIL,
-        "_stays",
+        "_counts_in_lane",
         "abs(_ - _) <= _ and abs(_ + _ * _ - _) <= _",
         "abs({1} - {2}) <= {3}",
         TESTS_OF_MOBIL,
@@ -164,7 +164,7 @@ OWED = (
     off(
         "the ego holds nobody up",
         MOBIL,
-        "gain_of",
+        "lane_change_incentive",
         "_ >= 0",
         "False",
         TESTS_OF_MOBIL,
@@ -173,7 +173,7 @@ OWED = (
     off(
         "who may enter too owes",
         DUTIES,
-        "threats",
+        "find_unobligated",
         "_ or _[_, _]",
         "{1}",
         "tests/shield/certificate/road/test_found.py",
@@ -181,7 +181,7 @@ OWED = (
     off(
         "who enters may impose anything",
         MOBIL,
-        "_pays",
+        "_mobil_permits",
         "_ >= _ - _ and _ <= _ + _",
         "{1} >= {2} - {3}",
         TESTS_OF_MOBIL,
@@ -189,7 +189,7 @@ OWED = (
     off(
         "lane owned without a plan",
         DUTIES,
-        "hold_lanes",
+        "update_lanes",
         "_ == _ and _ < _",
         "{3} < {4}",
         "owned",
@@ -197,7 +197,7 @@ OWED = (
     off(
         "lane owned for ever",
         DUTIES,
-        "hold_lanes",
+        "update_lanes",
         "_ and (_ < _ or _ == _)",
         "{1}",
         "owned",
@@ -205,7 +205,7 @@ OWED = (
     off(
         "lane lost before the body has left it",
         DUTIES,
-        "hold_lanes",
+        "update_lanes",
         "_ and (_ < _ or _ == _) or (_ == _ and _ < _)",
         "{1} and ({2} < {9} or {4} == {5}) or ({4} == {5} and {2} < {9})",
         "owned",
@@ -213,7 +213,7 @@ OWED = (
     off(
         "lane lost that the plan stops in",
         DUTIES,
-        "hold_lanes",
+        "update_lanes",
         "_ < _ or _ == _",
         "{1} < {2}",
         "owned",

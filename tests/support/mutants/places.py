@@ -10,7 +10,7 @@ PLACES = (
     off(
         "old lane dropped at the midline",
         BODIES,
-        "strips",
+        "touched_lanes",
         "_[_], _[_], _[_] = (_, _, _)",
         "{1}[{2}], {3}[{2}], {5}[{2}] = ({7}, {7}, {7})\n{8}, {9} = ({7}, {7})",
         "midline",
@@ -19,7 +19,7 @@ PLACES = (
     off(
         "wavering off",
         BODIES,
-        "strips",
+        "touched_lanes",
         "0.5 * _ + _",
         "0.5 * {1}",
         TESTS_OF_PERMITS,
@@ -28,7 +28,7 @@ PLACES = (
     off(
         "leaning off",
         BODIES,
-        "strips",
+        "touched_lanes",
         "0.5 * _ + _",
         "0.5 * {1}",
         TESTS_OF_PERMITS,
@@ -37,7 +37,7 @@ PLACES = (
     off(
         "drift along the heading off",
         BODIES,
-        "strips",
+        "touched_lanes",
         "_ * _ * _",
         "0.0 * {2}",
         "drift",
@@ -45,7 +45,7 @@ PLACES = (
     off(
         "reach is half the length only",
         BODIES,
-        "strips",
+        "touched_lanes",
         "_(_, _)",
         "{2}",
         "diagonal",
@@ -61,7 +61,7 @@ PLACES = (
     off(
         "reversing in a queue off",
         BODIES,
-        "floors",
+        "least_rest_positions",
         "_ > 0",
         "{1} < 0",
         "queue",

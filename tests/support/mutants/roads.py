@@ -19,7 +19,7 @@ ROADS = (
     off(
         "nobody goes on where lanes end",
         _PREDICTION,
-        "_lead_on",
+        "_add_next_strips",
         "_ >= 0",
         "False",
         _CLAUSES,
@@ -27,7 +27,7 @@ ROADS = (
     off(
         "nobody comes over from a lane that ends",
         _PREDICTION,
-        "_lead_on",
+        "_add_next_strips",
         "_[_] >= 0",
         "False",
         _CLAUSES,
@@ -36,7 +36,7 @@ ROADS = (
     off(
         "nobody accelerates",
         _PREDICTION,
-        "reach",
+        "distance_bounds",
         "_ = min(_ + _ * _, _)",
         "pass",
         _CLAUSES,
@@ -52,7 +52,7 @@ ROADS = (
     off(
         "nobody brakes",
         _PREDICTION,
-        "reach",
+        "distance_bounds",
         "max(_ - _ * _, 0.0)",
         "{1}",
         _CLAUSES,
@@ -60,7 +60,7 @@ ROADS = (
     off(
         "where the ego rests nobody comes later",
         _JUDGING,
-        "judge",
+        "least_separation",
         "_ = _",
         "pass",
         _CLAUSES,
@@ -68,7 +68,7 @@ ROADS = (
     off(
         "one behind owes its distance before it has come over from a lane that ends",
         "shield.certificate.network.obligations",
-        "behind",
+        "find_followers",
         "_ & ((_[:, _] > 0) & (not _) | _)",
         "{1} & ({2}[:, {3}] > 0) & (not {4})",
         _CLAUSES,
@@ -76,7 +76,7 @@ ROADS = (
     off(
         "nobody drives far off a lane that leads nowhere",
         "shield.certificate.network.projection",
-        "survey",
+        "project_path",
         "_(_, _)",
         "False",
         _OWN,
@@ -110,7 +110,7 @@ ROADS = (
     off(
         "who is ahead on a ring is behind",
         _JUDGING,
-        "_is_owed",
+        "_has_obligation",
         "_ + _ <= _[_, 0] < _",
         "{3}[{4}, 0] < {5}",
         _CLAUSES,
@@ -126,7 +126,7 @@ ROADS = (
     off(
         "who is behind need not brake",
         "shield.certificate.network.monitor",
-        "Watch._broken",
+        "NetworkMonitor._broken",
         "if _:",
         "pass",
         _CLAUSES,
@@ -142,7 +142,7 @@ ROADS = (
     off(
         "who can keep its distance no longer is counted on to",
         "shield.certificate.network.late_braking",
-        "Braking.now",
+        "LateBraking.now",
         "_(_ < _, _, _)",
         "{5}",
         _CLAUSES,
@@ -150,7 +150,7 @@ ROADS = (
     off(
         "who owes its distance has the time to react again",
         _JUDGING,
-        "judge",
+        "least_separation",
         "_(0, 0, True, _[_])",
         "{1}(0, road.duty.reaction, True, {2}[{3}])",
         _CLAUSES,
@@ -158,7 +158,7 @@ ROADS = (
     off(
         "who stands astride waits too",
         _PREDICTION,
-        "_lead_on",
+        "_add_next_strips",
         "_[_, 2] == -1 and max(_[_], -_[_]) <= _[_]",
         "{1}[{2}, 2] == -1",
         _CLAUSES,
@@ -166,7 +166,7 @@ ROADS = (
     off(
         "who is coming over keeps to its lane",
         _PREDICTION,
-        "_comes_over",
+        "_neighbour_strip",
         "_[_], _[_] = (min(_[_], -_ - _), max(_[_], _ - _))",
         "pass",
         _CLAUSES,
@@ -174,7 +174,7 @@ ROADS = (
     off(
         "where the ego rests nobody rolls back later",
         _JUDGING,
-        "judge",
+        "least_separation",
         "_ = min(_, _[_, _[1] - 1] - _[_])",
         "pass",
         _CLAUSES,
@@ -182,7 +182,7 @@ ROADS = (
     off(
         "who rolls back is no nearer in the later frame",
         _JUDGING,
-        "judge",
+        "least_separation",
         "min(_[_, max(_ - 1, 0)], _[_, _ + 1])",
         "{1}[{2}, max({3} - 1, 0)]",
         _TRANSITIONS,
@@ -190,7 +190,7 @@ ROADS = (
     off(
         "whoever is counted on to brake keeps its front where it is",
         _JUDGING,
-        "judge",
+        "least_separation",
         "_(_, _, _, _[_])",
         "{1}({2}, {3}, {4}, {5}[FRONT])",
         _TRANSITIONS,
@@ -198,7 +198,7 @@ ROADS = (
     off(
         "an ego beside the middle of a lane shuts it",
         _JUDGING,
-        "judge",
+        "least_separation",
         "_ and _[_, 1] <= _ and (_[_, _, 2] < 0.0 < _[_, _, 3])",
         "{1} and {2}[{3}, 1] <= {4}",
         _TRANSITIONS,
@@ -222,7 +222,7 @@ ROADS = (
     off(
         "one turns into the next lane from its own alone",
         _PREDICTION,
-        "_goes_on",
+        "_following_strip",
         "_[_, 0]",
         "s",
         _TRANSITIONS,
@@ -247,7 +247,7 @@ ROADS = (
     off(
         "what stands is not there",
         _JUDGING,
-        "judge",
+        "least_separation",
         "if _ < _:",
         "pass",
         _CLAUSES,
@@ -272,7 +272,7 @@ ROADS = (
     off(
         "who has to wait may do as it likes",
         "shield.certificate.network.monitor",
-        "Watch._broken",
+        "NetworkMonitor._broken",
         "_(_)",
         "pass",
         _TESTS,
@@ -282,7 +282,7 @@ ROADS = (
     off(
         "who creeps gains as much as others",
         _PREDICTION,
-        "reach",
+        "distance_bounds",
         "_[_, 4] if 0.0 < _ < _[_, 3] else 1.0",
         "1.0",
         _CLAUSES,
@@ -290,7 +290,7 @@ ROADS = (
     off(
         "who is about to leave its lane has left it",
         _PREDICTION,
-        "_chain",
+        "_link_parents",
         "_[_, 2] = _",
         "pass",
         _CLAUSES,
@@ -314,7 +314,7 @@ ROADS = (
     off(
         "it turns aside into a lane that ends",
         "dynamics.road_networks.simulation.ego_alone",
-        "drive",
+        "simulate_manoeuvre",
         "0 <= _ < _[_, _] and _[_, _] == _[_[_, 0], _] and (_[_] < 0)",
         "0 <= {1} < {2}[{3}, {4}] and {2}[{3}, {7}] == {2}[{9}[{10}, 0], {7}]",
         _CLAUSES,
@@ -330,7 +330,7 @@ ROADS = (
     off(
         "who stops behind the ego comes no further",
         _JUDGING,
-        "judge",
+        "least_separation",
         "_ and _[_, 1] <= _ and (_[_, _, 2] < 0.0 < _[_, _, 3])",
         "{1} and {5}[{3}, {7}, 2] < 0.0 < {5}[{3}, {7}, 3]",
         _FOUND,
@@ -338,7 +338,7 @@ ROADS = (
     off(
         "the lane that the ego is in is not tried",
         "shield.filters.network",
-        "RoadDoor._choose",
+        "NetworkFilter._choose",
         "_()",
         "[self._bound]",
         _FOUND,
@@ -355,7 +355,7 @@ ROADS = (
     off(
         "what two strips lead to is shut with neither",
         _JUDGING,
-        "_is_shut",
+        "_is_blocked",
         "_ != _",
         "True",
         _LOOPHOLES,
@@ -379,7 +379,7 @@ ROADS = (
     off(
         "a heading out of the lanes is none out of the ways",
         "shield.certificate.network.monitor",
-        "Watch.next",
+        "NetworkMonitor.next",
         "_ and _[_]",
         "False",
         _LOOPHOLES,
@@ -395,7 +395,7 @@ ROADS = (
     off(
         "rules are judged where the path has suffered",
         "shield.certificate.network.monitor",
-        "Watch.next",
+        "NetworkMonitor.next",
         "_[_] < _",
         "{1}[{2}] < CLEAR",
         _LOOPHOLES,
@@ -413,7 +413,7 @@ ROADS = (
     off(
         "bodies may grow into the way",
         "shield.certificate.network.monitor",
-        "Watch._broken",
+        "NetworkMonitor._broken",
         "_(_)",
         "pass",
         _FOUND,
@@ -439,7 +439,7 @@ ROADS = (
     off(
         "past the end of half a circle the ego is before its start",
         "shield.certificate.network.projection",
-        "survey",
+        "project_path",
         "_(_, _, _)",
         "{4}",
         _BANDS,
@@ -447,7 +447,7 @@ ROADS = (
     off(
         "a body that is far from its lane is not looked at",
         "shield.certificate.network.projection",
-        "survey",
+        "project_path",
         "max(_[_], _)",
         "{3}",
         _BANDS,
@@ -455,7 +455,7 @@ ROADS = (
     off(
         "a duty ends where the lane does",
         "shield.certificate.network.obligations",
-        "behind",
+        "find_followers",
         "_ = _ & (_ >= 0) & _[_, _[_]] & ~_[_, _]",
         "{1} = {1} & False",
         _JOINTS,
@@ -463,7 +463,7 @@ ROADS = (
     off(
         "the rear of an inclined ego is where its buffer's is",
         _JUDGING,
-        "_is_owed",
+        "_has_obligation",
         "_[_, 0]",
         "trial.boxes[{2}, 0, 0] + road.body.along - road.body.length",
         _JOINTS,

@@ -16,7 +16,7 @@ SIMULATED = (
     off(
         "what is simulated passes",
         f"{EXACT}.decision_kernels",
-        "passes",
+        "try_proposal",
         "if _ < 0:",
         "pass",
         _TESTS,
@@ -24,7 +24,7 @@ SIMULATED = (
     off(
         "a plan may end where ways cross",
         f"{EXACT}.search",
-        "must_go_on",
+        "ends_on_crossing",
         "_[0] or not _(_, _)",
         "True",
         "tests/shield/certificate/simulated/test_roads.py",
@@ -40,7 +40,7 @@ SIMULATED = (
     off(
         "one decision is enough",
         f"{EXACT}.search",
-        "survives",
+        "find_sequence",
         "_(_, _[0], _) if _ == _ else -_",
         "{1}({2}, {3}[0], {4})",
         _TESTS,
@@ -48,7 +48,7 @@ SIMULATED = (
     off(
         "only the last decision's clearance",
         f"{EXACT}.search",
-        "in_depth",
+        "depth_first",
         "min(_[_], _)",
         "{3}",
         _TESTS,
@@ -56,7 +56,7 @@ SIMULATED = (
     off(
         "a search that never turns back",
         f"{EXACT}.search",
-        "in_depth",
+        "depth_first",
         "_ -= 1",
         "break",
         _TESTS,
@@ -64,7 +64,7 @@ SIMULATED = (
     off(
         "a dead end is gone to again and again",
         f"{EXACT}.search",
-        "in_depth",
+        "depth_first",
         "_ < _ or _(_, _ + 1)",
         "{1} < {2}",
         _TESTS,
@@ -72,7 +72,7 @@ SIMULATED = (
     off(
         "a dead end of another present is one of this",
         f"{EXACT}.node_budget",
-        "begin_anew",
+        "reset_budget",
         "_(_)",
         "pass",
         _TESTS,
@@ -81,7 +81,7 @@ SIMULATED = (
     off(
         "a frame is looked at in each decision",
         f"{EXACT}.search",
-        "travel",
+        "finish_action",
         "min(_, _(_, _, _, _, _))",
         "{2}({3}, {4}, {5}, {6}, {7})",
         _TESTS,
@@ -105,7 +105,7 @@ SIMULATED = (
     off(
         "who asks for a side is driven as fast as can be",
         f"{EXACT}.closest",
-        "wish_of",
+        "lane_speed_target_of",
         "_, _ = (_, 0.0) if _ == 0 else (0.0, _)",
         "pass",
         "tests/shield/certificate/simulated/test_roads.py",
@@ -121,7 +121,7 @@ SIMULATED = (
     off(
         "who is boxed in looks for one future of each lane and speed",
         f"{EXACT}.decision_kernels",
-        "longest",
+        "longest_sequence",
         "return (_, _)",
         "pass",
         "tests/shield/certificate/simulated/test_roads.py",
@@ -130,7 +130,7 @@ SIMULATED = (
     off(
         "what lasts longest begins from nothing",
         f"{EXACT}.decision_kernels",
-        "longest",
+        "longest_sequence",
         "_ > 0",
         "False",
         "tests/shield/certificate/simulated/test_roads.py",
@@ -146,7 +146,7 @@ SIMULATED = (
     off(
         "a search over lanes and speeds takes as long as it likes",
         f"{EXACT}.node_budget",
-        "may_go_on",
+        "has_budget",
         "bool(_[0] < _[1])",
         "True",
         "tests/shield/certificate/simulated/test_roads.py",
@@ -154,7 +154,7 @@ SIMULATED = (
     off(
         "what was planned is not joined again",
         f"{EXACT}.search",
-        "survives",
+        "find_sequence",
         "_ > 0 and (not _) and (not _)",
         "False",
         "tests/shield/certificate/simulated/test_roads.py",
@@ -162,7 +162,7 @@ SIMULATED = (
     off(
         "to join what was planned may take all of the budget",
         f"{EXACT}.search",
-        "survives",
+        "find_sequence",
         "_ -= _",
         "{1} = 0",
         "tests/shield/certificate/simulated/test_roads.py",
@@ -170,7 +170,7 @@ SIMULATED = (
     off(
         "a search in depth takes as long as it likes",
         f"{EXACT}.search",
-        "in_depth",
+        "depth_first",
         "min(_[0] + _ - _, _[1])",
         "{1}[0] + {2} - {3}",
         "tests/shield/certificate/simulated/test_roads.py",
@@ -178,7 +178,7 @@ SIMULATED = (
     off(
         "a search in depth forgets what went on longest",
         f"{EXACT}.search",
-        "in_depth",
+        "depth_first",
         "_ > _",
         "{2} == 0 or {1} == bounds.depth",
         "tests/shield/certificate/simulated/test_roads.py",
@@ -186,7 +186,7 @@ SIMULATED = (
     off(
         "the mask asks more than a decision",
         "shield.filters.simulated.meta_actions",
-        "ExactDoor.mask",
+        "SimulatedMetaActionFilter.mask",
         "not _(_, 0)",
         "True",
         _TESTS,
@@ -194,7 +194,7 @@ SIMULATED = (
     off(
         "the mask forgets what was planned",
         "shield.filters.simulated.meta_actions",
-        "ExactDoor.mask",
+        "SimulatedMetaActionFilter.mask",
         "_[0]",
         "0",
         _TESTS,
@@ -203,7 +203,7 @@ SIMULATED = (
     off(
         "nothing is foretold",
         "shield.filters.simulated.predicted_scene",
-        "ExactScene._compare",
+        "PredictedScene._compare",
         "any((_[_] == _ for _ in _))",
         "True",
         _TESTS,
@@ -211,7 +211,7 @@ SIMULATED = (
     off(
         "the ego is foretold too",
         "shield.filters.simulated.predicted_scene",
-        "ExactScene._compare",
+        "PredictedScene._compare",
         "any((_[_] == _ for _ in _))",
         "False",
         _TESTS,
@@ -251,7 +251,7 @@ SIMULATED = (
     off(
         "nobody yields",
         "dynamics.road_networks.simulation.frame_kernels",
-        "intend",
+        "compute_controls",
         "_ > 0",
         "False",
         _TRAFFIC,
@@ -259,7 +259,7 @@ SIMULATED = (
     off(
         "who has left stays",
         "dynamics.road_networks.simulation.frame_kernels",
-        "intend",
+        "compute_controls",
         "_(_, _, _)",
         "pass",
         _TRAFFIC,
@@ -268,7 +268,7 @@ SIMULATED = (
     off(
         "the one of higher priority yields",
         "dynamics.road_networks.traffic.regulation",
-        "_who_yields",
+        "_yielding_vehicle",
         "_ if _ > _ else _",
         "{4} if {2} > {3} else {1}",
         _TRAFFIC,
@@ -300,7 +300,7 @@ SIMULATED = (
     off(
         "the law is forgotten between decisions",
         "shield.filters.simulated.inputs",
-        "ExactInputDoor._read",
+        "SimulatedInputFilter._read",
         "_ is not None",
         "False",
         _INPUTS,
@@ -308,7 +308,7 @@ SIMULATED = (
     off(
         "a plan for another scene is kept",
         "shield.filters.simulated.inputs",
-        "ExactInputDoor._read",
+        "SimulatedInputFilter._read",
         "_[:] = 0",
         "pass",
         _INPUTS,
@@ -316,7 +316,7 @@ SIMULATED = (
     off(
         "nobody looks between two decisions",
         "shield.filters.simulated.predicted_scene",
-        "ExactScene.as_foretold",
+        "PredictedScene.as_foretold",
         "bool((_(_(_) - _) <= _)._())",
         "True",
         _INPUTS,
@@ -333,7 +333,7 @@ SIMULATED = (
     off(
         "an ally's buffer is its own business",
         f"{EXACT}.search",
-        "travel",
+        "finish_action",
         "_ = min(_, _(_, _, _[_], _, _))",
         "pass",
         _TEAM,
@@ -350,7 +350,7 @@ SIMULATED = (
     off(
         "nobody is told what the one before was given",
         "shield.filters.simulated.multi_agent",
-        "TeamDoor._one_by_one",
+        "MultiAgentFilter._one_by_one",
         "_[_, 0] = _[-1]._",
         "pass",
         _TEAM,

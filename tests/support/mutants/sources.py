@@ -19,7 +19,7 @@ SOURCES = (
     off(
         "an ego that went astray is followed all the same",
         _BLIND,
-        "BlindScenes._strays",
+        "EnvironmentFreeScenes._strays",
         "bool((_ > _)._())",
         "False",
         f"{_SOURCES}::test_an_ego_that_did_not_execute_its_action_is_detected",
@@ -27,7 +27,7 @@ SOURCES = (
     off(
         "what was told is forgotten where nothing is seen",
         _BLIND,
-        "BlindScenes.tell",
+        "EnvironmentFreeScenes.tell",
         "_() if _ is None else _",
         "{2}",
         f"{_SOURCES}::test_the_target_command_is_known_after_an_unreadable_observation",
@@ -35,7 +35,7 @@ SOURCES = (
     off(
         "what was clipped is taken for what was there",
         _UNDOING,
-        "as_shown",
+        "undo_vec_wrappers",
         "_[_] = _",
         "pass",
         f"{_LAYERS}::test_a_value_clipped_by_normalisation_is_unknown",

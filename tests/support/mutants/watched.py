@@ -28,7 +28,7 @@ WATCHED = (
     off(
         "monitor never reports",
         MONITOR,
-        "Watch.next",
+        "RoadMonitor.next",
         "_ is None",
         "True",
         "alarm",
@@ -36,7 +36,7 @@ WATCHED = (
     off(
         "whoever owes the ego its distance may come beside it",
         MONITOR,
-        "stayed",
+        "update_obligations",
         "_[_] |= _",
         "pass",
         "comes beside",
@@ -69,7 +69,7 @@ WATCHED = (
     off(
         "more room is never too much",
         MONITOR,
-        "Watch.next",
+        "RoadMonitor.next",
         "if _:",
         "if False:",
         "grown",
@@ -78,7 +78,7 @@ WATCHED = (
     off(
         "SPEED off",
         PERMITS,
-        "judge_motions",
+        "check_motions",
         "_ |= _",
         "{1} |= 0",
         TESTS_OF_PERMITS,
@@ -87,7 +87,7 @@ WATCHED = (
     off(
         "WAY off",
         PERMITS,
-        "judge_motions",
+        "check_motions",
         "_ or _ or (not abs(_) <= abs(_) * _ + _)",
         "False and (not abs({3}) <= abs({4}) * {5} + {6})",
         TESTS_OF_PERMITS,
@@ -95,7 +95,7 @@ WATCHED = (
     off(
         "a heading against the way off",
         PERMITS,
-        "judge_motions",
+        "check_motions",
         "_ |= _",
         "{1} |= 0",
         "tests/shield/certificate/road/test_turned_round.py",
@@ -113,7 +113,7 @@ WATCHED = (
     off(
         "what turning may cost off",
         PERMITS,
-        "judge_motions",
+        "check_motions",
         "not min(_[_], _[_]) >= -_",
         "False",
         TESTS_OF_PERMITS,
@@ -121,7 +121,7 @@ WATCHED = (
     off(
         "a second of turning costs what it likes",
         BODIES,
-        "spend",
+        "update_turning_allowances",
         "_ > _ * _",
         "False",
         TESTS_OF_PERMITS,
@@ -129,7 +129,7 @@ WATCHED = (
     off(
         "BRAKING off",
         PERMITS,
-        "judge_motions",
+        "check_motions",
         "_ |= _",
         "{1} |= 0",
         TESTS_OF_PERMITS,
@@ -139,7 +139,7 @@ WATCHED = (
     off(
         "one who brakes hard for nothing is not noticed",
         PERMITS,
-        "judge_motions",
+        "check_motions",
         "not _ - _ <= (_ + _) * _ / _",
         "False",
         TESTS_OF_PERMITS,
@@ -147,7 +147,7 @@ WATCHED = (
     off(
         "one who may brake harder than before is not noticed",
         PERMITS,
-        "judge_motions",
+        "check_motions",
         "_ or _[_, _] > _[_, _ + _] + _",
         "{1}",
         TESTS_OF_PERMITS,
@@ -155,7 +155,7 @@ WATCHED = (
     off(
         "nobody ahead asks for braking",
         REACTION,
-        "_press",
+        "_raise_braking",
         "max(_[_], _)",
         "motion.calm",
         TESTS_OF_REACTION,
@@ -163,7 +163,7 @@ WATCHED = (
     off(
         "what asks for some braking is dropped with what asks for none",
         REACTION,
-        "_little",
+        "_surely_less",
         "_ - _",
         "{1} + {2}",
         TESTS_OF_REACTION,
@@ -172,7 +172,7 @@ WATCHED = (
     off(
         "nobody moves in ahead",
         REACTION,
-        "_press",
+        "_raise_braking",
         "range(_, _)",
         "range({1}, {1})",
         TESTS_OF_REACTION,
@@ -181,7 +181,7 @@ WATCHED = (
     off(
         "one from two lanes over looks out for everybody",
         REACTION,
-        "_press",
+        "_raise_braking",
         "_ > 0 or _(_, _ - _[_, _], _)",
         "{2}({3}, {3} - {5}[{6}, {7}], {8})",
         TESTS_OF_REACTION,
@@ -189,7 +189,7 @@ WATCHED = (
     off(
         "the ego is braked for by nobody",
         REACTION,
-        "brakings",
+        "hardest_braking",
         "_ > 0 or _[_, _] > 0",
         "{2}[{3}, {4}] > 0",
         TESTS_OF_REACTION,
@@ -197,7 +197,7 @@ WATCHED = (
     off(
         "LANES off",
         PERMITS,
-        "judge_motions",
+        "check_motions",
         "_ |= _",
         "{1} |= 0",
         TESTS_OF_PERMITS,
@@ -207,7 +207,7 @@ WATCHED = (
     off(
         "REVERSING off",
         PERMITS,
-        "judge_motions",
+        "check_motions",
         "_ |= _",
         "{1} |= 0",
         TESTS_OF_PERMITS,
@@ -217,7 +217,7 @@ WATCHED = (
     off(
         "DISTANCE off",
         PERMITS,
-        "judge_motions",
+        "check_motions",
         "_ |= _",
         "{1} |= 0",
         TESTS_OF_PERMITS,
@@ -227,7 +227,7 @@ WATCHED = (
     off(
         "a follower that leaves the place where the ego stops is left out still",
         DUTIES,
-        "counted_on",
+        "mark_relied_on",
         "_ and _[1][_] and _[_] and _",
         "{1} and {2}[1][{3}] and {4}[{3}]",
         f"{_ASIDE}::test_a_follower_that_leaves_its_lane_and_spoils_the_plan_is_a_violator",
@@ -235,7 +235,7 @@ WATCHED = (
     off(
         "a follower that may join the lane that the plan enters is not counted on",
         DUTIES,
-        "counted_on",
+        "mark_relied_on",
         "_[1] >= 0 or _[_[0], _] or (_ < _ and _ > _)",
         "{2}[{1}[0], {4}] or ({5} < {6} and {7} > {8})",
         f"{_ASIDE}::test_a_vehicle_that_turns_beside_the_entered_lane_and_spoils_the_plan_is_a_violator",
@@ -243,7 +243,7 @@ WATCHED = (
     off(
         "SIZE off",
         PERMITS,
-        "judge_motions",
+        "check_motions",
         "_ |= _",
         "{1} |= 0",
         "tests/shield/certificate/road/test_wrecks.py",
@@ -261,7 +261,7 @@ WATCHED = (
     off(
         "what is in the way now is not looked at",
         MONITOR,
-        "Watch.next",
+        "RoadMonitor.next",
         "_(_, _, _, _, _)",
         "pass",
         "tests/shield/certificate/road/test_crossing_in_a_frame.py",
@@ -270,7 +270,7 @@ WATCHED = (
     off(
         "a wreck brakes as hard as it likes",
         PERMITS,
-        "judge_motions",
+        "check_motions",
         "max((_ - _) / _ + _, _)",
         "1000000000.0",
         "tests/shield/certificate/road/test_wrecks.py",
@@ -287,7 +287,7 @@ WATCHED = (
     off(
         "CRASH off",
         PERMITS,
-        "judge_motions",
+        "check_motions",
         "_ |= _",
         "{1} |= 0",
         TESTS_OF_PERMITS,
@@ -296,21 +296,21 @@ WATCHED = (
     off(
         "stored plan of frames given up on an alarm",
         FRAMES,
-        "Frames.fall_back",
+        "FramePipeline.fall_back",
         "_ >= -_ or not _",
         "not {3}",
         "alarm[ShieldCore]",
     ),
     both(
         "stored plan of inputs given up on an alarm",
-        Edit(INPUTS, "Inputs.fall_back", "_ and _", "False"),
-        Edit(INPUTS, "Inputs.fall_back", "_ or not _", "not {2}"),
+        Edit(INPUTS, "InputPipeline.fall_back", "_ and _", "False"),
+        Edit(INPUTS, "InputPipeline.fall_back", "_ or not _", "not {2}"),
         tests=("alarm[ContinuousCore]",),
     ),
     off(
         "stored plan of frames without its own margin",
         FRAMES,
-        "Frames.fall_back",
+        "FramePipeline.fall_back",
         "_(_, _, _, _, _, _=_)",
         "{1}({2}, float('inf'), {4}, {5}, {6}, entered={7})",
         "margin[ShieldCore]",
@@ -318,7 +318,7 @@ WATCHED = (
     off(
         "stored plan of inputs with the proposal's margin",
         INPUTS,
-        "Inputs.fall_back",
+        "InputPipeline.fall_back",
         "_(_, _)",
         "tried[0].plan",
         "margin[ContinuousCore]",

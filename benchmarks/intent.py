@@ -6,7 +6,7 @@ said to be within 2 m with some probability is.
 
     python benchmarks/intent.py [--episodes 30] [--seed 402000] [--sensors exact,metric-0.5] [--fit]
 
-`--fit` looks for the constants of `HABITS` instead: least Brier score, the geometric mean over the sensors.
+`--fit` looks for the constants of `LANE_CHANGE_MODEL` instead: least Brier score, the geometric mean over the sensors.
 """
 
 from __future__ import annotations

@@ -37,8 +37,8 @@ class ShieldedVecEnv(FastHighwayVecEnv):
     Parameters
     ----------
     num_envs, env_id, config, threads : as in `FastHighwayVecEnv`.
-    shield : settings, or the path of a TOML file with them (see `ShieldedHighways`, and `ExactHighways` for simulated
-        traffic).
+    shield : settings, or the path of a TOML file with them (see `ShieldedHighways`, and `SimulatedHighways` for
+        simulated traffic).
 
     Raises
     ------

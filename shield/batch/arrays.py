@@ -56,8 +56,8 @@ class BatchMemory(NamedTuple):
     marks, numbers, brakes, recent : of their `Tables`, (e, 2, ...).
     of_others, flags : of `RoadVehicles`, (e, 5, m) and (e, 2, 2 + 2 lanes, m).
     slipping, slips : vehicles that may cut in, (e, 2 m, 4), and their number, (e,).
-    visible, owned : state of the lanes, see `hold_lanes`, (e, lanes).
-    owing, breaking, offenders : see `Watch`, (e, m). crashed : whether the ego had crashed, (e,).
+    visible, owned : state of the lanes, see `update_lanes`, (e, lanes).
+    owing, breaking, offenders : see `RoadMonitor`, (e, m). crashed : whether the ego had crashed, (e,).
     offences, by_rule : number of violations, (e,), and by rule, (e, rules).
     """
 

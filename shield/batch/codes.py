@@ -26,5 +26,5 @@ def certified(tiers: IntArray, reasons: IntArray, margins: FloatArray) -> BoolAr
 
 
 def rules_in(broken: IntArray) -> dict[str, int]:
-    """Number of violations of each rule, by its name, from a row of `Records.broken`, (rules,)."""
+    """Number of violations of each rule, by its name, from a row of `BatchRecords.broken`, (rules,)."""
     return {str(rule): int(count) for rule, count in zip(RoadRule, broken, strict=True) if count}

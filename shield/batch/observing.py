@@ -1,4 +1,4 @@
-"""Observation of the scene of one of many environments: `memory.observe` and `Watch.next` of the certificate,
+"""Observation of the scene of one of many environments: `memory.observe` and `RoadMonitor.next` of the certificate,
 compiled."""
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ class BatchParameters(NamedTuple):
     ----------
     centers : of the lanes, (lanes,) [m].
     size, settings, motion, limits : numbers of `Footprint`, of `Settings`, of `Motion` (with `lean` and `waver`), and
-        of the limits of `permits`.
+        of the limits of `rule_violations`.
     table, stretch, growth : of the road; a straight one needs none.
     target_speeds, labels : of the meta-actions, see `dynamics.highway_simulator.step_kernels.Rules`.
     numbers : scalars.

@@ -1,4 +1,5 @@
-"""Replacements for a frame that does not verify: `HoldBack` and the evasions of `shield.pipelines.frames`, compiled."""
+"""Replacements for a frame that does not verify: `AccelerationCap` and the evasions of `shield.pipelines.frames`,
+compiled."""
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ def _grid(law: BatchParameters, v: float, speed: float, room: BatchWorkspace) ->
 
 @kernel_inline
 def held_back(law: BatchParameters, v: float, speed: float, change: float, room: BatchWorkspace) -> float:
-    """Speed to which a target is reduced for one of `CAPS` [m/s]; see `held_back_speeds`."""
+    """Speed to which a target is reduced for one of `CAPS` [m/s]; see `capped_speeds`."""
     _grid(law, v, speed, room)
     place, wish = 0, KP_SPEED * change
     for i in range(ACCELERATIONS):
@@ -115,7 +116,7 @@ def _least_bad(room: BatchWorkspace, n: int, lawful: bool) -> int:
 @kernel_no_refcount
 def evade(bench: BatchPointers, lent: Pointer[BatchScene], e: int, speed: float, violated: bool) -> int:
     """The candidate that is expected to stay clear longest, among those that clear the vehicles without a violation
-    (see `Instant.lawful`); if there are none, among all."""
+    (see `ObservedScene.lawful`); if there are none, among all."""
     shields, law, room, scene = (
         dereference(bench.shields),
         dereference(bench.law),

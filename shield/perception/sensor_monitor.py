@@ -35,7 +35,7 @@ class SensorMonitor:
     recent: tuple[tuple[int, float, int], ...] = ()
 
     def after(self, frame: int, distances: FloatArray, frames: int) -> SensorMonitor:
-        """Monitor with `Surprise.distances` (k,) of one more frame; entries at least `frames` old are dropped."""
+        """Monitor with `Innovations.distances` (k,) of one more frame; entries at least `frames` old are dropped."""
         new = frame, float(np.minimum(distances, _CAP).sum()), len(distances)
         return SensorMonitor((*(each for each in self.recent if each[0] > frame - frames), new))
 

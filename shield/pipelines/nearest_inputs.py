@@ -20,7 +20,8 @@ __all__ = ["NearestInputs"]
 
 
 class NearestInputs:
-    """A `Repair` of `Frames`. Distance is measured in acceleration: in shares of the input ranges the ego would swerve.
+    """A `Repair` of `FramePipeline`. Distance is measured in acceleration: in shares of the input ranges the ego would
+    swerve.
 
     Parameters
     ----------

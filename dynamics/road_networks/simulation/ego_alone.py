@@ -124,8 +124,8 @@ def simulate_manoeuvre(
 
     Parameters
     ----------
-    over : for each lane that ends, the neighbouring lane that a vehicle has to change to, -1 for other lanes (`Ways`).
-        The ego does not turn aside into a lane that ends.
+    over : for each lane that ends, the neighbouring lane that a vehicle has to change to, -1 for other lanes
+        (`LaneContinuations`). The ego does not turn aside into a lane that ends.
     path : (K + 1, 4), written: x, y [m], heading [rad], speed [m/s].
     first : acceleration [m/s^2] and front wheel angle [rad] in the first frame, (2,), written.
     bound, own : target lane and present lane in each frame, (K + 1,), written.

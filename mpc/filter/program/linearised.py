@@ -21,7 +21,7 @@ __all__ = ["ENDS", "INFINITY", "LEVER", "MISC", "TANGENTS", "Linearised", "linea
 INFINITY = 1e30
 """Value for an absent bound in a program."""
 MISC = 15
-"""Number of entries of `Question.misc`."""
+"""Number of entries of `ProblemArrays.misc`."""
 LEVER = 5.0
 """Slack for a radian of heading beyond the limit [m]."""
 TANGENTS = (6.0, 12.0, 18.0, 24.0, 30.0)
@@ -38,7 +38,7 @@ class Linearised:
 
     Attributes
     ----------
-    arguments : symbols, in the order of the arrays of `Question`.
+    arguments : symbols, in the order of the arrays of `ProblemArrays`.
     inputs, curvature, aim, near, weights, speed, scale : symbols in the objective.
     states : state at the end of each stage, N of (4, 1).
     slopes : Jacobians of each stage by its state (4, 4) and by its *scaled* input (4, 2).

@@ -8,17 +8,18 @@ As in `dynamics.road_networks.reachable.strips`: a *reachable interval* is a str
 x - NEAR + HALF. The *separation* is the greater of the gaps along and across the lane. It is negative where the
 footprints overlap in both.
 
-Followers. A vehicle that approaches from behind in the ego's lane brakes for the ego at `Duty.braking` or harder. It
-begins `Duty.reaction` frames after the ego has become visible in the lane. Unless `Duty.ahead` is set, no vehicle looks
-beyond the end of its lane: the follower begins only after it has entered the lane of the ego.
+Followers. A vehicle that approaches from behind in the ego's lane brakes for the ego at
+`NetworkFollowerResponse.braking` or harder. It begins `NetworkFollowerResponse.reaction` frames after the ego has
+become visible in the lane. Unless `NetworkFollowerResponse.ahead` is set, no vehicle looks beyond the end of its lane:
+the follower begins only after it has entered the lane of the ego.
 
 Merging. A vehicle whose lane ends has to move over to the lane beside it, but may first pass the ego: the reachable
 interval of the ending lane extends into the lane beside. Such a vehicle has an obligation only where the ego is visible
 in the ending lane too.
 
-Right of way. With `Duty.gives_way`, a vehicle with less right of way than the ego brakes in the same way before any
-lane. It does so from when the ego has the right of way. It counts as waiting if it can stay behind the ego's body by
-braking so.
+Right of way. With `NetworkFollowerResponse.gives_way`, a vehicle with less right of way than the ego brakes in the
+same way before any lane. It does so from when the ego has the right of way. It counts as waiting if it can stay behind
+the ego's body by braking so.
 
 No other vehicle yields: crossing, merging and oncoming vehicles may be anywhere in their reachable intervals.
 """
@@ -153,7 +154,7 @@ class _Brakes(NamedTuple):
     Attributes
     ----------
     since : frame from which it sees the ego. delay : frames from then until it brakes.
-    anywhere : whether it brakes in any lane, or only where `Duty.ahead` permits.
+    anywhere : whether it brakes in any lane, or only where `NetworkFollowerResponse.ahead` permits.
     front : distance from its centre to its front [m]. That is `FRONT`, with the present pose, for a vehicle with a
         distance obligation, which may not move its front further ahead. For others it is `BODY_HALF`: on an arc the
         front moves ahead when the body drifts towards the centre of the arc, which is permitted.

@@ -14,7 +14,7 @@ from shield.certificate.network.workspace import CandidateRollout, NetworkContex
 __all__ = ["mitigate", "without_buffer"]
 
 _SPEED, _GENTLE = 1, 2
-"""Columns of `Course` rows."""
+"""Columns of `EgoManoeuvre` rows."""
 
 
 def without_buffer(road: NetworkContext) -> NetworkContext:
@@ -36,7 +36,7 @@ def mitigate(
 
     Parameters
     ----------
-    road : as returned by `without_buffer`. courses : rows of `Course`, (c, 6). speed : of the ego now [m/s].
+    road : as returned by `without_buffer`. courses : rows of `EgoManoeuvre`, (c, 6). speed : of the ego now [m/s].
     trial : rollout buffer, left with the rollout of the chosen candidate. bodies : as in `choose`.
     """
     slow = (courses[:, _SPEED] <= speed) & (courses[:, _GENTLE] < COMMITTED)

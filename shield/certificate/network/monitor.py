@@ -3,13 +3,13 @@
 From one frame to the next, a vehicle may do the following. `dynamics.road_networks.reachable.prediction` bounds what
 follows from that for all time.
 
-1. *speed*: brake and accelerate within `Conduct`, up to the limit of the lanes ahead of it;
+1. *speed*: brake and accelerate within `DrivingBounds`, up to the limit of the lanes ahead of it;
 2. *ways*: be inside one of its reachable intervals, along and across the lane. Its body reaches no further out, and it
 is on its way back to the centre. It may take another lane where the ego's fail-safe keeps its room;
 3. *reversing*: reverse only where the ego's fail-safe keeps its room;
 4. *crash*: not crash;
-5. *distance*: with a distance obligation, brake for the ego as long as that helps. By braking at `Duty.braking` it
-stays behind the ego's body on its fail-safe;
+5. *distance*: with a distance obligation, brake for the ego as long as that helps. By braking at
+`NetworkFollowerResponse.braking` it stays behind the ego's body on its fail-safe;
 6. *right of way*, where that is assumed: brake for the ego where the fail-safe would lose its room otherwise. This
 holds for a vehicle that has been expected to wait for longer than its reaction time.
 

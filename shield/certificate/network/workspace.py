@@ -73,7 +73,8 @@ class NetworkVehicles(NamedTuple):
     gives : number of frames for which each vehicle has been expected to wait before each lane, for an ego with more
         right of way, (m, n).
     ranks : right of way on the way to each interval, (k,).
-    waits : whether the chosen path expects the vehicle to wait before the interval, (k,); written by `judge`.
+    waits : whether the chosen path expects the vehicle to wait before the interval, (k,); written by
+        `least_separation`.
     shut : buffer: whether the ego blocks the way to what follows an interval, (k,).
     lanes : indices of the lanes that have intervals.
     rooms : greatest distance that the intervals of each lane extend from its centre line and beyond its ends, (n,) [m].
@@ -143,8 +144,8 @@ class NetworkContext(NamedTuple):
 
 
 class CandidateRollout(NamedTuple):
-    """Rollout buffer of one candidate manoeuvre, for K frames, n lanes and m vehicles; written by `drive`, `survey` and
-    `judge`.
+    """Rollout buffer of one candidate manoeuvre, for K frames, n lanes and m vehicles; written by
+    `simulate_manoeuvre`, `project_path` and `least_separation`.
 
     Attributes
     ----------

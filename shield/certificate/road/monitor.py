@@ -41,12 +41,13 @@ def update_obligations(
 ) -> tuple[bool, bool]:
     """Update the distance obligations, `owing`, and add the distance rule to `grown` for two kinds of vehicles: those
     that had an obligation and have come beside the ego in an owned lane, and those that the stored plan relies on to
-    brake, `counted`. Rules in `grown` are violated only where the fail-safe loses its room (`Motions`).
+    brake, `counted`. Rules in `grown` are violated only where the fail-safe loses its room (`RuleViolations`).
 
     Parameters
     ----------
     owed : vehicles with an obligation in the scene before, (m,). counted : see `PathVerifier.counted`, (m,).
-    behind, held : see `Others`, (m,). broken, grown : see `Motions`, (m,). owing : obligations now, (m,), written.
+    behind, held : see `RoadVehicles`, (m,). broken, grown : see `RuleViolations`, (m,). owing : obligations now, (m,),
+        written.
 
     Returns
     -------

@@ -220,7 +220,7 @@ class PathVerifier:
         return others
 
     def counted(self, before: tuple[BoolArray, BoolArray] | None) -> BoolArray:
-        """Vehicles that the stored plan relies on to brake, (m,) bool, see `counted_on`. `before` is `behind` and
+        """Vehicles that the stored plan relies on to brake, (m,) bool, see `mark_relied_on`. `before` is `behind` and
         `held` of the scene before."""
         out = np.zeros(len(self.behind), dtype=bool)
         if self.plan[0] >= 0 and before is not None:

@@ -229,7 +229,7 @@ def evaluate_path(
     ----------
     path : road states of the ego after each frame, (K, 4). lane, fail : lanes that it commits to and stops in.
     state : road state of the ego now, (4,). foot : its footprint. x : settings of the clauses.
-    slipping : candidates for a cut-in, (c, 4), see `may_slip`.
+    slipping : candidates for a cut-in, (c, 4), see `find_cut_ins`.
     desk : workspace, with the sine and cosine of the path's headings in `turned`. Written: the vehicles in reach,
         `near`; the separations from them, `apart`; those from cut-ins, `away`; and the room, `room`.
     table, hold, ground, ignored, around : as in `evaluate_paths`.

@@ -91,7 +91,7 @@ def mark_entrants(
     before : `others.comes` of the scene before, (lanes, v); of another shape if there was none.
     visible : number of frames for which the ego has been visible in each lane, (lanes,).
     plan : lane in which the stored plan stops, and lane that it enters on the way, or -1.
-    sight, settled : numbers of frames, see `Sight.reaction` and `Sight.settled`.
+    sight, settled : numbers of frames, see `VisibilityParameters.reaction` and `VisibilityParameters.settled`.
     """
     high, lane, r, across = others.high, others.lane, others.r, others.across
     besides, comes, n, v = others.beside, others.comes, centers.shape[0], others.lane.shape[0]

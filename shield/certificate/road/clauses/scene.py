@@ -65,10 +65,10 @@ def prepare_scene(
     ----------
     rows, states : vehicle rows (m, 7), and road states (m, 4). marks, numbers, brakes, recent : their `Tables`.
     vehicle, state, size : of the ego: vehicle row (7,), road state (4,), numbers of its `Footprint` (8,).
-    centers, settings : of the lanes [m]; numbers of `Settings`.
+    centers, settings : of the lanes [m]; numbers of `ClauseSettings`.
     owned, visible, plan : see `EgoInScene`; `plan` is its `stored` and `entered`.
     followers, before : see `fill_vehicles`.
-    of_others, flags : arrays of `Others`, see `empty_others`; written.
+    of_others, flags : arrays of `RoadVehicles`, see `empty_vehicles`; written.
     slipping : vehicles that `find_cut_ins` finds, (2 m, 4); written.
     tempted : buffer, (m, 4).
 

@@ -62,7 +62,8 @@ class Scene:
         return try_candidate(door._alone, door._road, door._others, row, False, door._trial).margin
 
     def rules(self, before, after):
-        """The rules that the other one breaks between two scenes (`Outlook.look`) where the fail-safe suffers."""
+        """The rules that the other one breaks between two scenes (`NetworkPredictor.look`) where the fail-safe
+        suffers."""
         watch = NetworkMonitor()
         for seen in (before, after):
             watch.next(seen, {self.other}, np.array([-1.0]), self.door._road, set())
@@ -93,8 +94,8 @@ def test_a_vehicle_that_narrows_at_the_outer_edge_of_an_arc_is_a_violator():
 
 @pytest.mark.parametrize("column", range(5))
 def test_every_quantity_that_bounds_a_vehicle_s_travel_is_monitored(column):
-    """Each column of `Others.drive`, changed to the side on which the vehicle reaches further, or less far, than
-    before."""
+    """Each column of `NetworkVehicles.drive`, changed to the side on which the vehicle reaches further, or less far,
+    than before."""
     scene, lane = Scene("merge-v0"), ("b", "c", 2)
     at = scene.network.get_lane(lane).position(30.0, 0.0)
     before, after = scene.looks((lane, at, 0.0, 5.0, 2.0), (lane, at, 0.0, 5.0, 2.0))

@@ -19,6 +19,7 @@ __all__ = [
     "LEAST",
     "MOST",
     "BoolArray",
+    "Float32Array",
     "FloatArray",
     "IntArray",
     "RoadState",
@@ -28,6 +29,7 @@ __all__ = [
     "wrap_to_pi",
 ]
 
+Float32Array = NDArray[np.float32]
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]

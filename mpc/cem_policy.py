@@ -48,7 +48,7 @@ class Task(Protocol):
         ...
 
 
-Memory: TypeAlias = tuple[PlanMemory, Any]
+PlannerMemory: TypeAlias = tuple[PlanMemory, Any]
 
 
 class CEMPolicy:
@@ -185,7 +185,7 @@ class CEMPolicy:
 
     def reset(self) -> None:
         """Forget the last plans; happens automatically at the start of an episode."""
-        self._memory: Memory | None = None
+        self._memory: PlannerMemory | None = None
         self.last_plan: SampledPlan | None = None
         self.fallbacks = 0
 

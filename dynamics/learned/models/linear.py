@@ -24,17 +24,14 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from dynamics.errors import ModelError
 from dynamics.learned.models import model as protocol
 from dynamics.learned.models.config import ModelConfig
-from dynamics.state import FloatArray
+from dynamics.state import Float32Array, FloatArray
 
 __all__ = ["LinearStructuredModel", "ModelConfig"]
-
-Float32Array = NDArray[np.float32]
 
 
 class _Ensemble(nn.Module):

@@ -24,16 +24,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics.errors import ModelError
 from dynamics.learned.models import model as protocol
 from dynamics.learned.models.config import ModelConfig
 from dynamics.learned.models.monomials import Monomials
+from dynamics.state import Float32Array
 
 __all__ = ["Agreement", "DistilledModel", "MacroStep", "turned"]
-
-Float32Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,7 +44,7 @@ class FaultOracle:
         self._base, self._door, self._step, self._ask = base, door, base.road.step, door.frame
         self._near: list[tuple[Any, int, float, float]] = []
         self._promised, self._crashes, self.frames, self.counted = False, door.by_rule.get(NetworkRule.CRASH, 0), 0, 0
-        self.clearance, self.near, self.who, self.when = np.inf, np.inf, -1, -1
+        self.clearance, self.near, self.nearest_vehicle, self.when = np.inf, np.inf, -1, -1
         self.margin, self.shrunk = np.inf, 0
         base.road.step = self._watched
         door.frame = self._asked  # type: ignore[method-assign]
@@ -63,7 +63,7 @@ class FaultOracle:
                 continue
             self.near = min(self.near, left)
             if gap < self.clearance:
-                self.clearance, self.who, self.when = gap, place, self.frames
+                self.clearance, self.nearest_vehicle, self.when = gap, place, self.frames
         self._near = []
 
     def _asked(self) -> tuple[Any, Decision]:

@@ -139,7 +139,7 @@ class RoadEpisode:
     margin : least margin after such a reduction [m]; infinite without one.
     crashed : whether the ego crashed.
     by_rule : number of violations by rule.
-    who : index in the road's list of the vehicle with the clearance; -1 for an obstacle or none.
+    nearest_vehicle : index in the road's list of the vehicle with the clearance; -1 for an obstacle or none.
     when : frame of the clearance.
     """
 
@@ -152,7 +152,7 @@ class RoadEpisode:
     margin: float
     crashed: bool
     by_rule: dict[str, int]
-    who: int
+    nearest_vehicle: int
     when: int
 
     @property
@@ -227,6 +227,6 @@ def _drive(env: ShieldedEnv, setting: Setting, numbers: RoadNumbers, shares: Flo
         margin=float(referee.margin),
         crashed=bool(base.vehicle.crashed),
         by_rule=door.by_rule,
-        who=referee.who,
+        nearest_vehicle=referee.nearest_vehicle,
         when=referee.when,
     )

@@ -56,7 +56,7 @@ def areas_at(
     """
     frames = max(1, round((after if np.isfinite(after) else _ASSUMED) / dt))
     if foreseen is not None and isinstance(refused.source, NetworkDecisionData):
-        return _interval_areas(*foreseen, frames, refused.source.who, column)
+        return _interval_areas(*foreseen, frames, refused.source.identities, column)
     if isinstance(refused.source, DecisionData):
         return _rectangles(refused.source, frames, column)
     if isinstance(refused.source, SimulatedDecisionData):
@@ -87,12 +87,12 @@ def _rectangles(made: DecisionData[Any], frames: int, column: BodyColumns) -> li
 
 
 def _interval_areas(
-    geometry: RoadGeometry, foreseen: NetworkPrediction, frames: int, who: Sequence[Any], column: BodyColumns
+    geometry: RoadGeometry, foreseen: NetworkPrediction, frames: int, identities: Sequence[Any], column: BodyColumns
 ) -> list[ReplayArea]:
     frame = min(frames, foreseen.most.shape[1] - 1)
     outlines = [interval_outline(geometry, foreseen, j, frame, frame) for j in range(len(foreseen.lanes))]
     return [
-        ReplayArea(column.get(who[int(vehicle)], -1), rounded(outline))
+        ReplayArea(column.get(identities[int(vehicle)], -1), rounded(outline))
         for vehicle, outline in zip(foreseen.vehicles, outlines, strict=True)
         if outline is not None
     ]
@@ -105,6 +105,6 @@ def _bodies(source: SimulatedDecisionData, frames: int, column: BodyColumns) -> 
     row = rows[min(frames, len(rows) - 1)]
     there = [k for k in range(len(row)) if k != ego and row[k, Vehicle.LENGTH] > 0]
     return [
-        ReplayArea(column.get(source.who[k], -1), rounded(shapely.get_coordinates(polygons(row[k]))[:-1]))
+        ReplayArea(column.get(source.identities[k], -1), rounded(shapely.get_coordinates(polygons(row[k]))[:-1]))
         for k in there
     ]

@@ -128,9 +128,9 @@ def _binding(decision: Decision, columns: Mapping[Any, int]) -> int:
     if row < 0:
         return -1
     if isinstance(source, DecisionData) and isinstance(source.scene, Scene) and source.scene.bodies is not None:
-        who: Sequence[Any] = source.scene.bodies
+        identities: Sequence[Any] = source.scene.bodies
     elif isinstance(source, NetworkDecisionData):
-        who = source.who
+        identities = source.identities
     else:
         return -1
-    return columns.get(who[row], -1) if row < len(who) else -1
+    return columns.get(identities[row], -1) if row < len(identities) else -1

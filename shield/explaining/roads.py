@@ -32,7 +32,7 @@ class NetworkDecisionData:
     Attributes
     ----------
     alone, road, body : the ego, its road, and its body without the buffer.
-    others, who : reachable places of the other vehicles, and the simulator's objects.
+    others, identity : reachable places of the other vehicles, and the simulator's objects.
     tried : the candidates, and the tier of each. lanes : highway-env's name of each other vehicle's lane.
     labels : of the actions.
     size : the ego's length and width [m].
@@ -42,7 +42,7 @@ class NetworkDecisionData:
     road: NetworkContext
     body: EgoExtents
     others: NetworkVehicles
-    who: Sequence[Any]
+    identities: Sequence[Any]
     tried: Sequence[tuple[EgoManoeuvre, Tier]]
     lanes: Sequence[tuple[str, str, int]]
     labels: Sequence[str]
@@ -73,8 +73,8 @@ class NetworkDecisionData:
             why = f"a standing body is in the way; {lacks}"
             if found.vehicle >= 0:
                 ego = np.array([*self.alone.worlds.f[0, [X, Y, HEADING, SPEED], 0], *self.size])
-                who = VehicleIdentity(self.who[found.vehicle], lane_of(self.lanes[found.vehicle]))
-                cause = describe(ego, self.others.rows[found.vehicle], who)
+                identity = VehicleIdentity(self.identities[found.vehicle], lane_of(self.lanes[found.vehicle]))
+                cause = describe(ego, self.others.rows[found.vehicle], identity)
                 broke = " (it has broken a rule)" if self.others.offends[found.vehicle] else ""
                 why = f"{cause.text}{broke} could be in the way; {lacks}"
                 if found.margin >= 0:
@@ -88,7 +88,7 @@ class NetworkDecisionData:
     def _best(self) -> JudgedCandidate:
         """The best candidate of the proposal, none of which verifies."""
         wished = [course for course, tier in self.tried if tier is Tier.PASSED]
-        frames, lanes, many = self.others.least.shape[1] - 3, len(self.road.circles), len(self.who)
+        frames, lanes, many = self.others.least.shape[1] - 3, len(self.road.circles), len(self.identities)
         trial, bodies = empty_rollout(frames, lanes, many), empty_rollout(frames, lanes, 0)
         # The check writes into these two arrays, and the decision still uses its own.
         others = self.others._replace(waits=self.others.waits.copy(), shut=self.others.shut.copy())

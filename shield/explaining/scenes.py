@@ -242,8 +242,8 @@ def _violator_text(view: Any) -> str:
     watch = view.memory.watch if hasattr(view, "memory") else None
     if not isinstance(watch, RoadMonitor) or not watch.violated or not isinstance(view, ObservedScene):
         return ""
-    who = [describe_binding_vehicle(view.scene, int(row)).text for row in np.flatnonzero(watch.offenders)[:2]]
-    return "".join(f"; {each} has broken a rule" for each in who)
+    named = [describe_binding_vehicle(view.scene, int(row)).text for row in np.flatnonzero(watch.offenders)[:2]]
+    return "".join(f"; {each} has broken a rule" for each in named)
 
 
 def _lost(made: DecisionData[Any], view: Any, at: Decision) -> LostGuarantee:

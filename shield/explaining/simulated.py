@@ -31,7 +31,7 @@ class SimulatedDecisionData:
     ----------
     search : rules of the traffic, and search buffers as a template; see `shield.certificate.simulated.workspace`.
     worlds : the present state of one environment (see `copy_of`).
-    who : the bodies by column; numbers where there are no objects.
+    nearest : the bodies by column; numbers where there are no objects.
     lanes : highway-env's name of each lane, by number; empty on a straight highway.
     proposal : an action, or acceleration [m/s^2] and wheel angle [rad], (2,). labels : of the actions; empty for
         inputs.
@@ -42,7 +42,7 @@ class SimulatedDecisionData:
 
     search: TrafficSearch
     worlds: Any
-    who: Sequence[Any]
+    identities: Sequence[Any]
     lanes: Sequence[tuple[str, str, int]]
     proposal: Any
     labels: Sequence[str]
@@ -90,8 +90,8 @@ class SimulatedDecisionData:
             )
             return "road", None, nan, after, why
         first = int(min([*inside[:1], *hit[:1]]))
-        who, after = int(gaps[first].argmin()), first * dt
-        short, cause = -float(min(gaps[first:, who].min(), 0.0)), self._cause(rows[0], ego, who)
+        nearest, after = int(gaps[first].argmin()), first * dt
+        short, cause = -float(min(gaps[first:, nearest].min(), 0.0)), self._cause(rows[0], ego, nearest)
         crash = f", with a crash after {number(hit[0] * dt)} s" if hit.size else ""
         lacks = f"the buffer would be short after {number(after)} s, by up to {number(short)} m{crash}"
         why = f"in the simulation {cause.text} comes in the way; {lacks}, {nothing_else}"
@@ -102,7 +102,7 @@ class SimulatedDecisionData:
         number_of_lane = int(self.worlds.g[0, LANE, column])
         several = len({(start, end) for start, end, _ in self.lanes}) > 1
         lane = lane_of(self.lanes[number_of_lane]) if several else f"lane {number_of_lane}"
-        return describe(bodies[ego, :6], bodies[column, :6], VehicleIdentity(self.who[column], lane))
+        return describe(bodies[ego, :6], bodies[column, :6], VehicleIdentity(self.identities[column], lane))
 
     def _gaps(self, rows: FloatArray, ego: int) -> FloatArray:
         """Clearance beyond the buffer from each body at each frame, (frames + 1, m) [m]; inf for the ego and empty

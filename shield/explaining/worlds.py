@@ -22,22 +22,22 @@ class VehicleIdentity:
     lane: str = ""
 
 
-def describe(ego: FloatArray, row: FloatArray, who: VehicleIdentity) -> Obstruction:
+def describe(ego: FloatArray, row: FloatArray, identity: VehicleIdentity) -> Obstruction:
     """Description of another vehicle.
 
     Parameters
     ----------
     ego, row : x, y [m], heading [rad], speed [m/s], length, width [m] of the ego and of the other vehicle.
-    who : its identity.
+    identity : its identity.
     """
     dx, dy, cos, sin = row[0] - ego[0], row[1] - ego[1], np.cos(ego[2]), np.sin(ego[2])
     along, across = float(dx * cos + dy * sin), float(dy * cos - dx * sin)
     c, s = abs(np.cos(row[2] - ego[2])), abs(np.sin(row[2] - ego[2]))
     length, width = 0.5 * float(ego[4] + row[4] * c + row[5] * s), 0.5 * float(ego[5] + row[4] * s + row[5] * c)
     where, distance = place(along, across, length, width)
-    named = not isinstance(who.vehicle, int)
-    kind = type(who.vehicle).__name__ if named else f"vehicle {who.vehicle}"
-    return Obstruction(who.vehicle, kind, where, distance, who.lane, float(row[3]))
+    named = not isinstance(identity.vehicle, int)
+    kind = type(identity.vehicle).__name__ if named else f"vehicle {identity.vehicle}"
+    return Obstruction(identity.vehicle, kind, where, distance, identity.lane, float(row[3]))
 
 
 def place(along: float, across: float, length: float, width: float) -> tuple[str, float]:

@@ -243,7 +243,7 @@ class NetworkFilter:
         mask = np.zeros(len(self._base.action_type.actions), dtype=bool)
         try:
             check_readable(self._see())
-            self._trial = empty_rollout(self._frames, len(self._names), len(self._who))
+            self._trial = empty_rollout(self._frames, len(self._names), len(self._identities))
             for action in range(len(mask)):
                 load_ego(self._base, self._alone.rules, self._index, self._alone.worlds)
                 self._intend(action)
@@ -298,7 +298,7 @@ class NetworkFilter:
             self._watch(seen)
             self._judged = frame
         check_readable(seen)
-        self._others.offends[:] = [body in self.watch.offenders for body in seen.who]
+        self._others.offends[:] = [body in self.watch.offenders for body in seen.identities]
 
     def _see(self) -> NetworkObservation:
         """Read the scene."""
@@ -307,13 +307,13 @@ class NetworkFilter:
             self._furnish()
         load_ego(base, self._alone.rules, self._index, self._alone.worlds)
         seen = self._look()
-        self._others, self._who = seen.others, seen.who
-        if len(self._trial.margins) != len(seen.who):
-            self._trial = empty_rollout(self._frames, len(self._names), len(seen.who))
+        self._others, self._identities = seen.others, seen.identities
+        if len(self._trial.margins) != len(seen.identities):
+            self._trial = empty_rollout(self._frames, len(self._names), len(seen.identities))
         if self.watch.last is None:
             # At the beginning every follower has seen the ego for long enough to react.
             self._try(stopping(self._bound, self.config.braking))
-            self._keep_distance(seen.who, True)
+            self._keep_distance(seen.identities, True)
         return seen
 
     def _look(self) -> NetworkObservation:
@@ -330,7 +330,9 @@ class NetworkFilter:
             pushed, flags[:] = flags.copy(), 0
             margins, late = self._braking.now(self._stored, seen)
             flags[:] = pushed
-            self.kept = {b: (self._then[b], float(margins[i])) for i, b in enumerate(seen.who) if b in self._then}
+            self.kept = {
+                b: (self._then[b], float(margins[i])) for i, b in enumerate(seen.identities) if b in self._then
+            }
         self.watch.next(seen, set(self._then), margins, self._road, late)
         self.disturbed = self.disturbed or bool(self.watch.offenders)
 
@@ -344,9 +346,9 @@ class NetworkFilter:
         distance."""
         try_candidate(self._alone, self._road, self._others, np.array(course, float), True, self._trial)
 
-    def _keep_distance(self, who: list[Any], verified: bool) -> None:
+    def _keep_distance(self, identities: list[Any], verified: bool) -> None:
         """Update the distance obligations for the candidate in the trial buffer."""
-        self._dues.keep_distance(who, self._others, self._trial, self._road, verified)
+        self._dues.keep_distance(identities, self._others, self._trial, self._road, verified)
 
     def _choose(self) -> tuple[EgoManoeuvre, Decision]:
         """The chosen candidate, and the record."""
@@ -358,7 +360,7 @@ class NetworkFilter:
         courses = np.array([course for course, _ in tried], float)
         room = self._trial, self._braking.bodies
         found: JudgedCandidate = choose(alone, self._road, self._bare.body, self._others, courses, *room)
-        margin, who, evades = found.margin, found.vehicle, found.innocent >= CLEAR
+        margin, binding, evades = found.margin, found.vehicle, found.innocent >= CLEAR
         if margin < CLEAR and found.clear == 0:
             # No candidate keeps the buffer: choose by the bodies alone (collision mitigation).
             evades, found = False, mitigate(alone, self._bare, self._others, courses, speed, *room)
@@ -369,7 +371,7 @@ class NetworkFilter:
             tier = Tier.EVADED if evades else Tier.LARGEST_MARGIN
         source = None if tier is Tier.PASSED else self._kept(tried)
         plan = self.foreseen.path if self.config.record else None
-        return course, Decision(-1, -1, reason, tier, float(margin), 0.0, plan, vehicle=int(who), source=source)
+        return course, Decision(-1, -1, reason, tier, float(margin), 0.0, plan, vehicle=int(binding), source=source)
 
     def _kept(self, tried: list[tuple[EgoManoeuvre, Tier]]) -> Source:
         """Data for an explanation of the decision."""
@@ -379,22 +381,22 @@ class NetworkFilter:
             road=self._road,
             body=self._bare.body,
             others=self._others,
-            who=self._who,
+            identities=self._identities,
             tried=tried,
-            lanes=[body.lane_index for body in self._who],
+            lanes=[body.lane_index for body in self._identities],
             labels=[labels[k] for k in sorted(labels)],
             size=(float(ego.LENGTH), float(ego.WIDTH)),
         )
 
     def _go(self, course: EgoManoeuvre, tier: Tier) -> None:
         """Record the chosen candidate, and update the obligations from its rollout in the trial buffer."""
-        who = [] if self.watch.last is None else self.watch.last.who
-        self._then = {body: float(self._trial.margins[i]) for i, body in enumerate(who)} if tier.verified else {}
+        identities = [] if self.watch.last is None else self.watch.last.identities
+        self._then = {body: float(self._trial.margins[i]) for i, body in enumerate(identities)} if tier.verified else {}
         self.disturbed = self.disturbed and not tier.verified
-        self._keep_distance(who, tier.verified)
-        self._braking.remember(course, who, self._others)
+        self._keep_distance(identities, tier.verified)
+        self._braking.remember(course, identities, self._others)
         if self._road.duty.gives_way:
-            self._dues.give_way(who, self._others, self._trial, self._road, tier.verified)
+            self._dues.give_way(identities, self._others, self._trial, self._road, tier.verified)
         bound = int(self._trial.bound[0])
         self._stored = remainder_after_frame(course, bound)
         if self._wish is not None and course.lane == self._wish.lane and course.frames >= 1:

@@ -179,8 +179,8 @@ class ObservationPerception:
         last = self.tracks
         if passed or not len(last.ids):
             places, noise = sighting.places if self.spec.sorted else None, np.diag(np.square(self.noise))
-            who = self._patience, places, self._watched
-            self.tracks = update_tracks(last, states, noise, passed, self._motions, *who)
+            rest = self._patience, places, self._watched
+            self.tracks = update_tracks(last, states, noise, passed, self._motions, *rest)
             self._learn()
         self.edges = edges(self.spec, sighting)
         x, _, along, _ = before.tolist()

@@ -57,11 +57,11 @@ class LateBraking:
             stays,
         )
 
-    def remember(self, course: EgoManoeuvre, who: list[Any], others: NetworkVehicles) -> None:
+    def remember(self, course: EgoManoeuvre, identities: list[Any], others: NetworkVehicles) -> None:
         """Store the separation of each vehicle in `who` with a distance obligation, if the ego continues with
         `course`."""
         margins = self._margins(course, others)
-        self.stays = {who[i]: float(margins[i]) for i in np.flatnonzero(others.owes.any(axis=1))}
+        self.stays = {identities[i]: float(margins[i]) for i in np.flatnonzero(others.owes.any(axis=1))}
 
     def now(self, course: EgoManoeuvre, seen: NetworkObservation) -> tuple[FloatArray, set[Any]]:
         """Judge that candidate a frame later.
@@ -79,7 +79,7 @@ class LateBraking:
         # A vehicle that is in the way even if it keeps its distance is in the way elsewhere. The braking is late before
         # the plan loses its room: the tolerances of a frame reduce the distance of a braking vehicle only afterwards.
         too_near = (at_once < NEW_PATH_MARGIN) & (believed >= CLEAR)
-        late = {b for i, b in enumerate(seen.who) if too_near[i] and self.stays.get(b, -1.0) >= CLEAR}
+        late = {b for i, b in enumerate(seen.identities) if too_near[i] and self.stays.get(b, -1.0) >= CLEAR}
         return np.where(at_once < CLEAR, at_once, believed), late
 
     def _margins(self, course: EgoManoeuvre, others: NetworkVehicles) -> FloatArray:

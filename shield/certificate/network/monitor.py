@@ -86,14 +86,14 @@ class NetworkObservation:
 
     Attributes
     ----------
-    who : the simulator's vehicle objects, which identify them, (m,). others : where they can be.
+    questioned : the simulator's vehicle objects, which identify them, (m,). others : where they can be.
     stand : standing bodies, including wrecks, (b,).
     unreadable : bodies that could not be read, with the columns of `Vehicle` that are not readable.
     colliding : vehicles that collide with the ego's body in the coming frame, see
         `shield.certificate.network.next_frame.collisions`.
     """
 
-    who: list[Any]
+    identities: list[Any]
     others: NetworkVehicles
     stand: tuple[Any, ...] = ()
     unreadable: Mapping[Any, frozenset[Vehicle]] = field(default_factory=dict)
@@ -157,15 +157,15 @@ class NetworkMonitor:
         if last is None:
             self.breaking = breaking
             return
-        before = {body: i for i, body in enumerate(last.who)}
-        there = set(now.who)
-        for body in last.who:
+        before = {body: i for i, body in enumerate(last.identities)}
+        there = set(now.identities)
+        for body in last.identities:
             if body not in there and getattr(body, "crashed", False):
                 self._name(body, {NetworkRule.CRASH})
         for body, broken in _of_standing(last, now):
             breaking[body] = broken
             self._name(body, broken - self.breaking.get(body, set()))
-        for i, body in enumerate(now.who):
+        for i, body in enumerate(now.identities):
             hits = margins is not None and body in now.colliding
             suffers = margins is not None and bool(margins[i] < CLEAR)
             less = margins is not None and bool(margins[i] < NEW_PATH_MARGIN)
@@ -194,15 +194,15 @@ class NetworkMonitor:
         for rule in rules:
             self.by_rule[rule] = self.by_rule.get(rule, 0) + 1
 
-    def judge(self, now: NetworkObservation, who: set[Any], road: NetworkContext, late: set[Any]) -> set[Any]:
-        """Those of the vehicles `who` that have violated a rule so far, or do so from the last scene to this one. The
+    def judge(self, now: NetworkObservation, questioned: set[Any], road: NetworkContext, late: set[Any]) -> set[Any]:
+        """Those of the vehicles `questioned` that have violated a rule so far, or do so from the last scene to this one. The
         rules are checked whether or not the fail-safe loses its room; `late` as in `next`."""
-        found = who & self.culprits
+        found = questioned & self.culprits
         if self.last is not None:
-            before = {body: i for i, body in enumerate(self.last.who)}
-            for i, body in enumerate(now.who):
+            before = {body: i for i, body in enumerate(self.last.identities)}
+            for i, body in enumerate(now.identities):
                 j = before.get(body)
-                if body not in who:
+                if body not in questioned:
                     continue
                 if j is None or self._broken(self.last.others, j, now.others, i, road, True, body in late):
                     found.add(body)
@@ -253,7 +253,7 @@ def _of_column(column: Vehicle) -> NetworkRule:
 def _of_standing(last: NetworkObservation, now: NetworkObservation) -> Iterator[tuple[Any, set[NetworkRule]]]:
     """Violations by standing bodies that have appeared, or left the rectangles that they filled. A vehicle that has
     become a wreck has crashed, which `NetworkMonitor.next` counts."""
-    before, driving = {body: i for i, body in enumerate(last.stand)}, set(last.who)
+    before, driving = {body: i for i, body in enumerate(last.stand)}, set(last.identities)
     for i, body in enumerate(now.stand):
         if body not in before:
             if body not in driving or not getattr(body, "crashed", False):

@@ -53,5 +53,5 @@ def collisions(base: Any, seen: TrafficRows, marks: IntArray, names: list[tuple[
         turned = np.repeat(seen.rows[i : i + 1], len(lanes), axis=0)
         for one, lane in zip(turned, lanes, strict=True):
             one[2] = lane.heading_at(np.clip(lane.local_coordinates(one[:2])[0], 0.0, lane.length))
-        found[seen.who[i]] = bool((_gaps(ego, turned, dt) > 0.0).all())
+        found[seen.identities[i]] = bool((_gaps(ego, turned, dt) > 0.0).all())
     return found

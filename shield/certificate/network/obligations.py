@@ -50,10 +50,10 @@ class RightOfWayObligations:
     distance: dict[Any, set[int]] = field(default_factory=dict)
     waits: dict[Any, dict[int, int]] = field(default_factory=dict)
 
-    def tables(self, who: list[Any], lanes: int) -> tuple[BoolArray, IntArray]:
+    def tables(self, identities: list[Any], lanes: int) -> tuple[BoolArray, IntArray]:
         """`NetworkVehicles.owes` and `NetworkVehicles.gives` of these vehicles, (m, n)."""
-        owes, gives = np.zeros((len(who), lanes), dtype=bool), np.zeros((len(who), lanes), np.int64)
-        for i, body in enumerate(who):
+        owes, gives = np.zeros((len(identities), lanes), dtype=bool), np.zeros((len(identities), lanes), np.int64)
+        for i, body in enumerate(identities):
             owes[i, list(self.distance.get(body, ()))] = True
             for lane, since in self.waits.get(body, {}).items():
                 gives[i, lane] = since
@@ -68,7 +68,12 @@ class RightOfWayObligations:
         return bool(self.distance.get(body))
 
     def keep_distance(
-        self, who: list[Any], others: NetworkVehicles, trial: CandidateRollout, road: NetworkContext, verified: bool
+        self,
+        identities: list[Any],
+        others: NetworkVehicles,
+        trial: CandidateRollout,
+        road: NetworkContext,
+        verified: bool,
     ) -> None:
         """Update the distance obligations, and write them to `NetworkVehicles.owes`.
 
@@ -79,10 +84,17 @@ class RightOfWayObligations:
         if not verified:
             there &= others.owes
         others.owes[:] = there
-        self.distance = {body: set(np.flatnonzero(there[i]).tolist()) for i, body in enumerate(who) if there[i].any()}
+        self.distance = {
+            body: set(np.flatnonzero(there[i]).tolist()) for i, body in enumerate(identities) if there[i].any()
+        }
 
     def give_way(
-        self, who: list[Any], others: NetworkVehicles, trial: CandidateRollout, road: NetworkContext, verified: bool
+        self,
+        identities: list[Any],
+        others: NetworkVehicles,
+        trial: CandidateRollout,
+        road: NetworkContext,
+        verified: bool,
     ) -> None:
         """Update the vehicles that are expected to wait; `NetworkVehicles.waits` refers to the chosen path. If the
         path is not `verified`, no vehicle is added."""
@@ -91,4 +103,4 @@ class RightOfWayObligations:
             i, lane = others.marks[j, :2]
             since = int(others.gives[i, lane])
             if verified or since > 0:
-                self.waits.setdefault(who[i], {})[int(lane)] = since + 1
+                self.waits.setdefault(identities[i], {})[int(lane)] = since + 1

@@ -23,7 +23,7 @@ class TrafficRows(NamedTuple):
 
     Attributes
     ----------
-    who : the simulator's vehicle objects, which identify them, (m,).
+    identities : the simulator's vehicle objects, which identify them, (m,).
     stand : standing bodies: the objects, then the wrecks, (b,).
     rows : vehicle rows, (m, 7). own : index of each vehicle's lane, (m,).
     routes : (m, roads), see `dynamics.road_networks.reachable.prediction.add_all_strips`.
@@ -32,7 +32,7 @@ class TrafficRows(NamedTuple):
     unreadable : bodies left out of the arrays, with the columns of `Vehicle` that are not readable.
     """
 
-    who: list[Any]
+    identities: list[Any]
     stand: tuple[Any, ...]
     rows: FloatArray
     own: IntArray
@@ -112,15 +112,15 @@ def read_traffic(base: Any, network: Network, lanes: Mapping[tuple[str, str, int
         if not row.all()
     }
     others = [body for body in base.road.vehicles if body is not base.vehicle and body not in unreadable]
-    who = [body for body in others if not body.crashed]
-    rows = np.array([_row(body) for body in who], float).reshape(-1, len(Vehicle))
+    identities = [body for body in others if not body.crashed]
+    rows = np.array([_row(body) for body in identities], float).reshape(-1, len(Vehicle))
     objects = [body for body in base.road.objects if body not in unreadable]
     wrecks = [body for body in others if body.crashed]
     period = 1 / base.config["simulation_frequency"]
     standing = [*(_standing(body, period) for body in objects), *map(_sliding, wrecks)]
     things = np.array(standing, float).reshape(-1, len(Vehicle))
-    own, routes = np.zeros(len(who), np.int64), np.zeros((len(who), len(network.roads)), np.int64)
-    for i, body in enumerate(who):
+    own, routes = np.zeros(len(identities), np.int64), np.zeros((len(identities), len(network.roads)), np.int64)
+    for i, body in enumerate(identities):
         key = _lane_of(body, base.road.network, lanes)
         own[i] = lanes[key]
         route = getattr(body, "route", None) or []
@@ -129,4 +129,4 @@ def read_traffic(base: Any, network: Network, lanes: Mapping[tuple[str, str, int
         if route and route[0][0] == key[1]:
             # highway-env drops a road from the route a little before its end.
             routes[i, network.ids[own[i], ROAD]] = 1
-    return TrafficRows(who, (*objects, *wrecks), rows, own, routes, things, unreadable)
+    return TrafficRows(identities, (*objects, *wrecks), rows, own, routes, things, unreadable)

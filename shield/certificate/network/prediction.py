@@ -105,7 +105,7 @@ class NetworkPredictor:
         marks, numbers = strips.marks[:count].copy(), strips.numbers[:count].copy()
         least, most = np.zeros((2, len(seen.rows), self._frames + 3))
         distance_bounds(road.conduct, seen.rows, drive, road.period, least, most)
-        owes, gives = dues.tables(seen.who, len(road.circles))
+        owes, gives = dues.tables(seen.identities, len(road.circles))
         ranks = np.zeros(count, np.int64)
         if road.duty.gives_way:
             right_of_way_by_strip(road.ways, road.rights, marks, ranks)
@@ -128,4 +128,4 @@ class NetworkPredictor:
             rooms=_rooms(marks, numbers, road.lanes.rows[:, LANE_LENGTH]),
         )
         colliding = collisions(self._base, seen, marks, self._names)
-        return NetworkObservation(seen.who, others, seen.stand, seen.unreadable, colliding)
+        return NetworkObservation(seen.identities, others, seen.stand, seen.unreadable, colliding)

@@ -269,7 +269,7 @@ class PredictedScene:
         return SimulatedDecisionData(
             search=search,
             worlds=worlds,
-            who=list(self.bodies()),
+            identities=list(self.bodies()),
             lanes=lanes,
             proposal=proposal,
             labels=[labels[k] for k in sorted(labels)],

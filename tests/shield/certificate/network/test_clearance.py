@@ -83,7 +83,7 @@ def test_a_vehicle_ahead_on_a_ring_does_not_count_as_a_follower(env_id):
     alone = margin(door, 1.0, 3.0)
     assert alone < CLEAR
     margin(door, 0.0, 0.0)
-    door._keep_distance(door.watch.last.who, True)
+    door._keep_distance(door.watch.last.identities, True)
     assert door._others.owes.any()
     assert margin(door, 1.0, 3.0, lenient=True) == alone
 

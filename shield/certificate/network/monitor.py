@@ -195,8 +195,8 @@ class NetworkMonitor:
             self.by_rule[rule] = self.by_rule.get(rule, 0) + 1
 
     def judge(self, now: NetworkObservation, questioned: set[Any], road: NetworkContext, late: set[Any]) -> set[Any]:
-        """Those of the vehicles `questioned` that have violated a rule so far, or do so from the last scene to this one. The
-        rules are checked whether or not the fail-safe loses its room; `late` as in `next`."""
+        """Those of the vehicles `questioned` that have violated a rule so far, or do so from the last scene to this
+        one. The rules are checked whether or not the fail-safe loses its room; `late` as in `next`."""
         found = questioned & self.culprits
         if self.last is not None:
             before = {body: i for i, body in enumerate(self.last.identities)}

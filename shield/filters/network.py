@@ -286,7 +286,7 @@ class NetworkFilter:
         self._names = list(self._index)
         self._road = network_context(base, self._alone, self.config)
         self._bare = without_buffer(self._road)
-        self._frames = frames_of(self._frequency)
+        self._frames = frames_of(self._frequency, self.config.braking)
         self._braking: LateBraking = LateBraking.on(self._alone, self._road, self._frames, stays)
         self._outlook = NetworkPredictor(base, self._alone, self._road, self._frames)
         self._trial = empty_rollout(self._frames, len(self._names), 0)

@@ -18,7 +18,9 @@ _ON = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0)
 _SPEEDS = 8
 """Number of speeds, from the target speed of the decision down to 0, that are tried in its place."""
 _STOP = 5.0
-"""Upper bound on the time to brake to a standstill [s]."""
+"""Time to brake to a standstill at the default braking, rounded up [s]."""
+_FASTEST = 40.0
+"""Greatest speed of a vehicle of highway-env, `Vehicle.MAX_SPEED` [m/s]."""
 _GAIN = 5.0
 """Greatest speed above the present one that is tried in place of the target speed [m/s]."""
 
@@ -30,9 +32,10 @@ class TargetCommand(NamedTuple):
     speed: float
 
 
-def frames_of(frequency: float) -> int:
-    """Upper bound on the number of frames of a candidate, at `frequency` frames a second."""
-    return math.ceil((max(_ON) + _STOP) * frequency)
+def frames_of(frequency: float, braking: float) -> int:
+    """Upper bound on the number of frames of a candidate, at `frequency` frames a second, with a stop at `braking`
+    [m/s^2]: a candidate that is not at rest by then would verify without its last metres."""
+    return math.ceil((max(_ON) + max(_STOP, _FASTEST / braking)) * frequency)
 
 
 def stopping(lane: int, braking: float) -> EgoManoeuvre:

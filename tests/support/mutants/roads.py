@@ -485,4 +485,12 @@ ROADS = (
         "False",
         _AROUND,
     ),
+    off(
+        "a plan with weak braking is judged for 11 s only",
+        "shield.certificate.network.manoeuvres",
+        "frames_of",
+        "max(_, _ / _)",
+        "{1}",
+        "tests/shield/certificate/network/test_own_road_networks.py",
+    ),
 )

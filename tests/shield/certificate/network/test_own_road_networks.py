@@ -17,7 +17,7 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.objects import Obstacle
 
 from dynamics.road_networks.reachable.strips import Strip, add, empty_strips
-from shield import ShieldedEnv
+from shield import ShieldConfig, ShieldedEnv
 from shield.certificate.network.monitor import _inside
 
 FASTER, SLOWER = 3, 4
@@ -225,3 +225,26 @@ def test_a_later_pass_is_left_out_only_where_an_earlier_one_contains_it():
     assert add(strips, 0, 2, later, 20.0) == 2
     for change, stop in (({}, 80.0), ({"low": -1.7}, 20.0), ({"half": 2.8}, 20.0), ({"start": -4.0}, 20.0)):
         assert add(strips, 0, 2, later._replace(**change), stop) == 3
+
+
+def with_side_road(network):
+    """A straight road, which a side road joins after 400 m."""
+    network.add_lane("a", "b", StraightLane([0, 0], [400, 0], speed_limit=30))
+    network.add_lane("b", "c", StraightLane([400, 0], [900, 0], speed_limit=30))
+    network.add_lane("z", "b", StraightLane([200, 200], [400, 0], speed_limit=30))
+
+
+def test_a_plan_with_weak_braking_is_judged_until_the_ego_rests():
+    """At 2.25 m/s^2 the ego needs 13 s from 30 m/s. A plan that was cut off after 11 s verified, and the ego hit a
+    standing vehicle."""
+    frequency, speed = 5, 30.0
+    kind = type("Built", (Network,), {"build": staticmethod(with_side_road), "start": (("a", "b", 0), 5.0)})
+    kind.speed = speed
+    config = {"simulation_frequency": frequency, "policy_frequency": 1}
+    config["action"] = {"type": "DiscreteMetaAction", "target_speeds": [10, 20, 30]}
+    env = ShieldedEnv(kind(config), ShieldConfig.for_roads().replace(braking=2.25))
+    env.reset(seed=0)
+    scripted(env, lambda frame: (210.0, 0.0, 0.0, 0.0))
+    tiers = drive(env, FASTER, 16)
+    assert "unforeseen" not in env.door.by_rule
+    assert not set(tiers[:1]) & set(VERIFIED)

@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from evaluation.commands.falsifying import falsify_command
+from evaluation.commands.falsifying import FalsifyOptions, falsify_command
 from evaluation.commands.names import DEMO_SETTING
 from evaluation.commands.options_command import one_option_a_field
 from evaluation.commands.shared_options import (
@@ -210,6 +210,6 @@ def attack_command(
 def add_certifying(app: typer.Typer) -> None:
     """Add these commands to the application."""
     app.command("certify")(one_option_a_field(certify_command, CertifyOptions))
-    app.command("falsify")(falsify_command)
+    app.command("falsify")(one_option_a_field(falsify_command, FalsifyOptions))
     app.command("rare")(one_option_a_field(rare_command, RareOptions))
     app.command("attack")(attack_command)

@@ -19,7 +19,7 @@ from shield.errors import ConfigError
 if TYPE_CHECKING:
     from evaluation.settings import Setting
 
-__all__ = ["falsify_command"]
+__all__ = ["FalsifyOptions", "falsify_command"]
 
 _out = Console()
 _EPISODES = {"idm": 5_000, "bold": 5_000, "network": 500}

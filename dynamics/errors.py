@@ -30,7 +30,7 @@ def nearest_name_hint(name: object, valid: Iterable[str]) -> str:
 
     Examples
     --------
-    >>> perhaps("highway-fats", ["highway-fast", "merge"]), perhaps("boat", ["merge"])
+    >>> nearest_name_hint("highway-fats", ["highway-fast", "merge"]), nearest_name_hint("boat", ["merge"])
     ("; perhaps 'highway-fast' is meant", '')
     """
     near = get_close_matches(str(name), list(valid), 1, cutoff=_NEAR)

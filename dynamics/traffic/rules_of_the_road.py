@@ -76,7 +76,7 @@ class RoadRule(IntFlag):
 
     Examples
     --------
-    >>> str(Rule.WAY)
+    >>> str(RoadRule.WAY)
     'way'
     """
 
@@ -336,12 +336,12 @@ def rule_violations(
     >>> def at(x, v, before=None):
     ...     row = np.array([[x, 0.0, 0.0, v, 5.0, 2.0, 0.0]])
     ...     return Surroundings(row, row[:, :4], StraightRoad.from_lanes(2), Assumptions.idm(), 0.1, before)
-    >>> nobody, ego = np.zeros(1, bool), Ego(0.0, 4.0, 0.0, 20.0, 4.5, 1.3, 2.5, 1.0, False)
+    >>> nobody, ego = np.zeros(1, bool), EgoFootprint(0.0, 4.0, 0.0, 20.0, 4.5, 1.3, 2.5, 1.0, False)
     >>> first = at(0.0, 20.0)
-    >>> permits(first, at(2.0, 19.5, first), 0.1, nobody, ego).broken.tolist()
+    >>> rule_violations(first, at(2.0, 19.5, first), 0.1, nobody, ego).broken.tolist()
     [0]
-    >>> Rule(int(permits(first, at(2.0, 19.0, first), 0.1, nobody, ego).broken[0]))
-    <Rule.SPEED: 1>
+    >>> RoadRule(int(rule_violations(first, at(2.0, 19.0, first), 0.1, nobody, ego).broken[0]))
+    <RoadRule.SPEED: 1>
     """
     limits = limits_of(after.assumptions, float(period), after.lap, max(round(period / after.dt), 1))
     m = len(after.states)

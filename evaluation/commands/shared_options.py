@@ -113,7 +113,7 @@ def read_hyperparameters(
 
     Examples
     --------
-    >>> ask_hyperparameters(None, ["n_steps=64", "policy_kwargs.net_arch=[8, 8]", "policy=MlpPolicy"])
+    >>> read_hyperparameters(None, ["n_steps=64", "policy_kwargs.net_arch=[8, 8]", "policy=MlpPolicy"])
     {'n_steps': 64, 'policy_kwargs': {'net_arch': [8, 8]}, 'policy': 'MlpPolicy'}
     """
     found = deepcopy(dict(base or {})) if file is None else read_toml(file)

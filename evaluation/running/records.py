@@ -60,7 +60,7 @@ class ShieldVariant:
 
         Examples
         --------
-        >>> [each.mode for each in Variant("env").with_buffers([1, 2.5])]
+        >>> [each.mode for each in ShieldVariant("env").with_buffers([1, 2.5])]
         ['full, buffer 1 m', 'full, buffer 2.5 m']
         """
         if self.door == "none" or not lengths:
@@ -163,7 +163,7 @@ def rules_text(rules: Mapping[str, int]) -> str:
 
     Examples
     --------
-    >>> told({"lanes": 2, "crash": 1})
+    >>> rules_text({"lanes": 2, "crash": 1})
     'crash 1, lanes 2'
     """
     return ", ".join(f"{rule} {count}" for rule, count in sorted(rules.items()) if count)

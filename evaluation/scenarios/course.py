@@ -79,7 +79,7 @@ def build_map(counts: Mapping[str, int] = SUBMAPS) -> ScenarioMap:
 
     Examples
     --------
-    >>> course = build_course({"straight": 2})
+    >>> course = build_map({"straight": 2})
     >>> [piece.name for piece in course.pieces]
     ['turning circle-1', 'straight-1', 'straight-2', 'turning circle-2']
     >>> course.spawns[0], list(course.exits)

@@ -74,7 +74,7 @@ class RoadFrame:
 
     Examples
     --------
-    >>> frame = Frame(10.0, 0.0, 0.0).at(5.0, 2.0, np.pi / 2)
+    >>> frame = RoadFrame(10.0, 0.0, 0.0).at(5.0, 2.0, np.pi / 2)
     >>> frame.x, frame.y
     (15.0, 2.0)
     >>> left, right = frame.straight((0.0, 0.0), (30.0, 0.0), Kind(speed_limit=15.0, priority=0))

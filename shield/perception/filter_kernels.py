@@ -11,7 +11,7 @@ from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.state import FloatArray, IntArray
 from shield.perception.filters import FAR, LEAST, ROW_COST, ROW_COST_LIMIT, StateTransition, normal_score
 
-__all__ = ["costs", "distances", "expected", "mixture", "moved", "quantiles", "scores", "taken_in"]
+__all__ = ["costs", "distances", "measurement_update", "mixture", "predict", "predict_state", "quantiles", "scores"]
 
 _SHARP, _NEAR = 1e-11, 1e-6
 """Accuracy of a quantile, and step size from which the next step suffices for that accuracy, in standard deviations."""
@@ -20,16 +20,16 @@ _ROOT = math.sqrt(0.5)
 _DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
 
 
-def moved(
+def predict_state(
     means: FloatArray, covariances: FloatArray, course: StateTransition, pushed: FloatArray, centers: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """See `filters.moved`."""
+    """See `filters.predict_state`."""
     means, covariances = means.copy(), covariances.copy()
     _move(means, covariances, course, pushed, centers)
     return means, covariances
 
 
-def expected(
+def predict(
     chances: FloatArray,
     means: FloatArray,
     covariances: FloatArray,
@@ -38,7 +38,7 @@ def expected(
     pushed: FloatArray,
     centers: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """See `filters.expected`."""
+    """See `filters.predict`."""
     after, mixed, spread = np.empty_like(chances), np.empty_like(means), np.empty_like(covariances)
     _begin(chances, means, covariances, changes, after, mixed, spread)
     _move(mixed, spread, course, pushed, centers)
@@ -70,7 +70,7 @@ def costs(away: FloatArray, places: FloatArray, at: FloatArray) -> tuple[FloatAr
     return found[0], found[1]
 
 
-def taken_in(
+def measurement_update(
     chances: FloatArray,
     means: FloatArray,
     covariances: FloatArray,
@@ -81,7 +81,7 @@ def taken_in(
     rows: IntArray,
     columns: IntArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """See `filters.taken_in`."""
+    """See `filters.measurement_update`."""
     chances, means, covariances = chances.copy(), means.copy(), covariances.copy()
     _take_in(chances, means, covariances, seen, noise, away, size, rows, columns, np.empty((4, 4, 4)))
     return chances, means, covariances

@@ -163,7 +163,7 @@ def update_tracks(
     at = np.full(len(seen), np.nan) if places is None else places.astype(float)
     changes, course, pushed, centers = _prediction_parameters(dt, motions)
     before = tracks.chances, tracks.means, tracks.covariances
-    chances, means, covariances = filters.expected(*before, changes, course, pushed, centers)
+    chances, means, covariances = filters.predict(*before, changes, course, pushed, centers)
     away, size = filters.distances(means, covariances, seen, noise)
     least, cost = filters.costs(away, tracks.places, at)
     rows, columns = linear_sum_assignment(cost)
@@ -177,7 +177,7 @@ def update_tracks(
     last = tracks.missed, tracks.places, tracks.seen
     pairs = apply_gate(rows, columns, apart, _GATE, patience, *last, at, seen)
     expected, same = (chances, means, covariances), (pairs.rows, pairs.columns)
-    chances, means, covariances = filters.taken_in(*expected, seen, noise, away, size, *same)
+    chances, means, covariances = filters.measurement_update(*expected, seen, noise, away, size, *same)
     about = pairs.missed, pairs.places, tracks.next_id, pairs.innovation, pairs.seen, surprise
     everybody = Tracks(tracks.ids, means, covariances, chances, *about)
     if pairs.whole:
@@ -252,7 +252,7 @@ def predict_tracks(tracks: Tracks, late: float, motions: MotionModels) -> Tracks
     share = math.sqrt(min(_FRAME / late, 1.0))
     calm, free = ((share * a, share * b) for a, b in (motions.calm, motions.free))
     _, course, pushed, centers = _prediction_parameters(late, motions._replace(calm=calm, free=free, brisk=free))
-    means, covariances = filters.moved(tracks.means, tracks.covariances, course, pushed, centers)
+    means, covariances = filters.predict_state(tracks.means, tracks.covariances, course, pushed, centers)
     return replace(tracks, means=means, covariances=covariances)
 
 

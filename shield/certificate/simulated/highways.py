@@ -38,7 +38,7 @@ class SimulatedHighways(FilteredHighways):
 
     Examples
     --------
-    >>> highways = ExactHighways("highway-fast-v0", 2)
+    >>> highways = SimulatedHighways("highway-fast-v0", 2)
     >>> observations = highways.reset([0, 1])
     >>> observations, reward, terminated, truncated = highways.step([3, 3])
     >>> highways.records.executed

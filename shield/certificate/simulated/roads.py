@@ -67,7 +67,7 @@ class SimulatedRoads(SimulatedHighways):
 
     Examples
     --------
-    >>> roads = ExactRoads("roundabout-v1", 2)
+    >>> roads = SimulatedRoads("roundabout-v1", 2)
     >>> observations = roads.reset([0, 1])
     >>> observations, reward, terminated, truncated = roads.step([1, 1])
     >>> roads.records.executed

@@ -57,7 +57,7 @@ def test_a_picture_of_simulated_traffic_mentions_no_assumptions(monkeypatch):
     draw_override("merge-v1")
     why = [line for line in said if "refused" in line]
     assert why
-    assert all("simulated" in line for line in why)
+    assert all("in the simulation" in line for line in why)
     assert not any("assumptions" in line for line in said)
     assert "others, foretold for 1 s" in said
 

@@ -221,9 +221,9 @@ def test_inside_the_shield_either_simulator_gives_the_same_model(tmp_path, shiel
 @pytest.mark.parametrize(
     ("setting", "sensor", "message"),
     [
-        (CONTINUOUS, "simulated", "ContinuousAction"),
+        (CONTINUOUS, "exact", "ContinuousAction"),
         (TINY, "normalised-0.5", "observes highway-env itself"),
-        (Setting("merge", "merge-v0", {"duration": 4}), "simulated", "merge-v0"),
+        (Setting("merge", "merge-v0", {"duration": 4}), "exact", "merge-v0"),
     ],
 )
 def test_a_shielded_setting_that_is_not_compiled_is_trained_in_highway_env(tmp_path, setting, sensor, message):
@@ -236,7 +236,7 @@ def test_a_shielded_setting_that_is_not_compiled_is_trained_in_highway_env(tmp_p
 
 def test_an_unknown_shield_profile_is_refused_in_training(tmp_path):
     options = {"hyperparameters": {**SMALL_NET, "n_steps": 16, "batch_size": 16}, "progress": False}
-    with pytest.raises(ConfigError, match="'default', 'meta-actions', 'roads', 'exact'"):
+    with pytest.raises(ConfigError, match="'default', 'meta-actions', 'roads', 'simulated'"):
         train(TINY, "ppo", 16, 1, output=tmp_path / "policy", shield="paper", **options)
 
 

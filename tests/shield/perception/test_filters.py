@@ -45,12 +45,12 @@ def test_the_compiled_filters_are_the_formulas(case, dt, lanes):
     )
     step = course, pushed, centers
     both = filters, filter_kernels
-    for one, other in zip(*(each.moved(means, covariances, *step) for each in both), strict=True):
+    for one, other in zip(*(each.predict_state(means, covariances, *step) for each in both), strict=True):
         agree(other, one)
     for one, other in zip(*(each.mixture(chances, means, covariances) for each in both), strict=True):
         agree(other, one)
     ahead = filters.predict(chances, means, covariances, changes, *step)
-    for one, other in zip(ahead, filter_kernels.expected(chances, means, covariances, changes, *step), strict=True):
+    for one, other in zip(ahead, filter_kernels.predict(chances, means, covariances, changes, *step), strict=True):
         agree(other, one)
     for one, other in zip(*(each.distances(*ahead[1:], seen, noise) for each in both), strict=True):
         agree(other, one)
@@ -62,7 +62,7 @@ def test_the_compiled_filters_are_the_formulas(case, dt, lanes):
     k = min(len(means), len(seen))
     rows, columns = rng.permutation(len(means))[:k], rng.permutation(len(seen))[:k]
     given = *ahead, seen, noise, *filters.distances(*ahead[1:], seen, noise), rows, columns
-    for one, other in zip(*(each.taken_in(*given) for each in both), strict=True):
+    for one, other in zip(*(each.measurement_update(*given) for each in both), strict=True):
         agree(other, one)
     for one, other in zip(*(each.scores(*ahead, seen, noise, rows, columns) for each in both), strict=True):
         agree(other, one)

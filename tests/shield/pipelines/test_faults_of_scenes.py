@@ -164,7 +164,7 @@ def test_rollouts_that_are_nan_do_not_pass_on_an_empty_road(door, monkeypatch):
     assert last.reason == Reason.NO_SAFE_PLAN
 
 
-@pytest.mark.parametrize("stage", [(Rollouts, *ROLLS), (verify, "judged")], ids=["rollouts", "occupancy"])
+@pytest.mark.parametrize("stage", [(Rollouts, *ROLLS), (verify, "evaluate_paths")], ids=["rollouts", "occupancy"])
 def test_when_a_stage_raises_nothing_unfiltered_reaches_the_environment(stage, spy, shielded, monkeypatch):
     def broken(*args, **kwargs):
         raise RuntimeError("stage")

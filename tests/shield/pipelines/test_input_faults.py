@@ -219,7 +219,7 @@ def test_a_plan_that_is_nan_or_wrong_is_not_used(broken, monkeypatch):
     assert np.array_equal(clean, ContinuousCore(predictive=True).filter(scene, proposal)[0])
 
 
-STAGES = [(PredictiveFilter, "solve"), (Rollouts, "run_inputs"), (Rollouts, "stop"), (verify, "judged")]
+STAGES = [(PredictiveFilter, "solve"), (Rollouts, "run_inputs"), (Rollouts, "stop"), (verify, "evaluate_paths")]
 
 
 @pytest.mark.parametrize("stage", STAGES, ids=lambda s: f"{s[0].__name__}.{s[1]}")
@@ -253,7 +253,7 @@ def test_a_stage_that_raises_is_labelled_and_the_next_step_is_clean(stage, monke
     assert info["shield"]["reason"] != "stage_failed"
 
 
-@pytest.mark.parametrize("stage", [(Rollouts, "run_inputs"), (Rollouts, "stop"), (verify, "judged")])
+@pytest.mark.parametrize("stage", [(Rollouts, "run_inputs"), (Rollouts, "stop"), (verify, "evaluate_paths")])
 def test_a_stage_that_computes_nan_verifies_nothing(stage, env, monkeypatch):
     right = getattr(*stage)
     with monkeypatch.context() as patch, Actions(env) as actions, np.errstate(all="ignore"):

@@ -142,7 +142,7 @@ def test_speed_limits_of_another_kind_are_refused():
 @pytest.mark.parametrize("env_id", BY_SIMULATION)
 def test_the_refusal_of_inputs_names_simulated_traffic_and_that_works(env_id, door):
     env = gym.make(env_id, config=BY_SIMULATION[env_id])
-    with pytest.raises(ShieldError, match=r"ShieldedEnv\(env, ShieldConfig\.exact\(\)\)") as refusal:
+    with pytest.raises(ShieldError, match=r"ShieldedEnv\(env, ShieldConfig\.simulated_traffic\(\)\)") as refusal:
         door(env, "worst-case")
     assert len(str(refusal.value)) < 700
     # Neither an option that highway-env lacks nor one refused next is named.
@@ -168,7 +168,7 @@ def test_simulated_traffic_is_not_named_as_a_remedy_if_it_is_refused_too(dynamic
         ShieldedEnv(env, ShieldConfig.simulated_traffic())
     with pytest.raises(SceneError, match="branches at 2; supported") as refusal:
         ShieldedEnv(env)
-    assert "exact" not in str(refusal.value)
+    assert "simulated_traffic" not in str(refusal.value)
 
 
 def test_the_refusal_of_slipping_tyres_names_the_setting_without_them():

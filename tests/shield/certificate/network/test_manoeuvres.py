@@ -43,7 +43,7 @@ def test_no_candidate_is_faster_than_the_proposal_or_the_vehicle_can_be(asked):
         if tier is Tier.GOVERNED and course is not stored:
             assert course.speed <= min(wish.speed, speed + 5.0)
             assert course.lane in {wish.lane, *bound, *([] if stored is None else [stored.lane])}
-        assert course.frames < frames_of(HERTZ)
+        assert course.frames < frames_of(HERTZ, 9.8)
 
 
 @given(ASKED)

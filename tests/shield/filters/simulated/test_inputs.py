@@ -321,8 +321,14 @@ def test_the_recorded_plan_of_inputs_is_driven():
     ("build", "message"),
     [
         (lambda: Shield(Always(np.zeros(2)), make("merge-v1"), EXACT, frames=False), "at every frame"),
-        (lambda: ShieldedEnv(gym.make("parking-v0"), EXACT), r"ParkingEnv: leave ShieldConfig\.exact\(\) out"),
-        (lambda: Shield(Always(np.zeros(2)), gym.make("parking-v0"), EXACT), r"leave ShieldConfig\.exact\(\) out"),
+        (
+            lambda: ShieldedEnv(gym.make("parking-v0"), EXACT),
+            r"ParkingEnv: leave ShieldConfig\.simulated_traffic",
+        ),
+        (
+            lambda: Shield(Always(np.zeros(2)), gym.make("parking-v0"), EXACT),
+            r"leave ShieldConfig\.simulated_traffic",
+        ),
     ],
 )
 def test_inputs_that_cannot_be_simulated_are_refused(build, message):

@@ -335,7 +335,7 @@ def rule_violations(
     >>> from dynamics.traffic.assumptions import Assumptions
     >>> def at(x, v, before=None):
     ...     row = np.array([[x, 0.0, 0.0, v, 5.0, 2.0, 0.0]])
-    ...     return Surroundings(row, row[:, :4], StraightRoad.from_lanes(2), Assumptions.idm(), 0.1, before)
+    ...     return OtherVehicles(row, row[:, :4], StraightRoad.from_lanes(2), Assumptions.idm(), 0.1, before)
     >>> nobody, ego = np.zeros(1, bool), EgoFootprint(0.0, 4.0, 0.0, 20.0, 4.5, 1.3, 2.5, 1.0, False)
     >>> first = at(0.0, 20.0)
     >>> rule_violations(first, at(2.0, 19.5, first), 0.1, nobody, ego).broken.tolist()

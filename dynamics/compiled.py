@@ -124,7 +124,7 @@ def _digest(function: Callable[..., Any]) -> str:
     NameError
         If the function reads a global name that is not defined yet: a later change of its value would not be noticed.
     """
-    asked = {each.argval for each in get_instructions(function) if each.opname == "LOAD_GLOBAL"}
+    asked = set(_globals_read(function.__code__))
     later = asked - function.__globals__.keys() - vars(builtins).keys()
     if later - {function.__name__}:
         # The value of a name that is not defined yet cannot be part of the digest.
@@ -133,6 +133,14 @@ def _digest(function: Callable[..., Any]) -> str:
     for name in sorted(asked & function.__globals__.keys()):
         parts.append(f"{name}={_value_digest(function.__globals__[name], function)}")
     return sha256("\0".join(parts).encode()).hexdigest()
+
+
+def _globals_read(code: CodeType) -> Iterator[str]:
+    """Names of the global values that a function reads, and the functions inside it."""
+    yield from (each.argval for each in get_instructions(code) if each.opname == "LOAD_GLOBAL")
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _globals_read(constant)
 
 
 def _bytecode(code: CodeType) -> Iterator[str]:

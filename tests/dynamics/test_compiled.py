@@ -100,6 +100,16 @@ def reads_member(x):
     return Kind.A * x
 
 
+def reads_inside(x):
+    return sum([ARRAY[0] for _ in range(x)])
+
+
+def test_a_global_that_only_a_comprehension_reads_is_part_of_what_a_kernel_is_made_from(monkeypatch):
+    first = source_digest(compiled(reads_inside))
+    monkeypatch.setitem(globals(), "ARRAY", np.array([3.0, 2.0]))
+    assert source_digest(compiled(reads_inside)) != first
+
+
 def test_a_global_array_is_part_of_the_digest(monkeypatch):
     first = source_digest(compiled(reads_array))
     monkeypatch.setitem(globals(), "ARRAY", np.array([3.0, 2.0]))

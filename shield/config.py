@@ -12,7 +12,7 @@ import tomli_w
 
 from dynamics.deprecation import warn_of_former_name
 from dynamics.errors import nearest_name_hint
-from dynamics.traffic.assumptions import Assumptions
+from dynamics.traffic.assumptions import Assumptions, present_profile
 from shield.errors import ConfigError
 
 __all__ = ["MODES", "PERCEPTIONS", "PROFILES", "RULES_ALONE", "SIMULATED", "WORST_CASE", "Buffer", "ShieldConfig"]
@@ -167,15 +167,13 @@ class ShieldConfig:
     @classmethod
     def exact(cls) -> ShieldConfig:
         """The former name of `simulated_traffic`."""
-        warn_of_former_name("ShieldConfig.exact()", "ShieldConfig.simulated_traffic()")
+        warn_of_former_name("ShieldConfig.exact()", "write ShieldConfig.simulated_traffic()")
         return cls.simulated_traffic()
 
     @classmethod
     def profile(cls, name: str) -> ShieldConfig:
         """Settings by name: "default", "meta-actions", "roads" or "simulated"."""
-        if name == "exact":
-            warn_of_former_name('the profile "exact"', '"simulated"')
-            name = "simulated"
+        name = present_profile(name)
         if name not in PROFILES:
             raise ConfigError(f"unknown settings {name!r}; valid are {', '.join(map(repr, PROFILES))}")
         if name == "meta-actions":

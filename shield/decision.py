@@ -128,7 +128,7 @@ class _FormerMembers(EnumType):
 
     def __getattr__(cls, name: str) -> Any:
         if name == "FULL":
-            warn_of_former_name("Guarantee.FULL", "Guarantee.ALL_SEEN")
+            warn_of_former_name("Guarantee.FULL", "write Guarantee.ALL_SEEN")
             return cls["ALL_SEEN"]
         raise AttributeError(name)
 
@@ -152,14 +152,14 @@ class Guarantee(StrEnum, metaclass=_FormerMembers):
 
     def __eq__(self, other: object) -> bool:
         if self is Guarantee.ALL_SEEN and type(other) is str and other == "full":
-            warn_of_former_name('guarantee == "full"', f'guarantee == "{self.value}"')
+            warn_of_former_name('guarantee == "full"', f'write guarantee == "{self.value}"')
             return True
         return str.__eq__(self, other) if isinstance(other, str) else NotImplemented
 
     @classmethod
     def _missing_(cls, value: object) -> Guarantee | None:
         if value == "full":
-            warn_of_former_name('Guarantee("full")', "Guarantee.ALL_SEEN", stacklevel=5)
+            warn_of_former_name('Guarantee("full")', "write Guarantee.ALL_SEEN", stacklevel=5)
             return cls.ALL_SEEN
         return None
 

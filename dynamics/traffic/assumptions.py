@@ -13,7 +13,15 @@ from math import isfinite
 from dynamics.deprecation import warn_of_former_name
 from dynamics.errors import ConfigError
 
-__all__ = ["Assumptions"]
+__all__ = ["Assumptions", "present_profile"]
+
+
+def present_profile(name: str) -> str:
+    """The present name of a profile of assumptions or of settings; the former name "exact" warns."""
+    if name != "exact":
+        return name
+    warn_of_former_name('the profile "exact"', 'write "simulated"', stacklevel=4)
+    return "simulated"
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +68,7 @@ class Assumptions:
     gives_way : on road networks, whether a vehicle with less right of way than the ego waits for it
         (`dynamics.road_networks.reachable.rights`). highway-env's traffic does not always.
     simulated : whether the other vehicles are highway-env's own traffic, which is simulated; then none of the bounds
-        above is used. See `exact`.
+        above is used. See `simulated_traffic`.
     """
 
     braking: float = 6.0
@@ -155,7 +163,7 @@ class Assumptions:
     @classmethod
     def exact(cls) -> Assumptions:
         """The former name of `simulated_traffic`."""
-        warn_of_former_name("Assumptions.exact()", "Assumptions.simulated_traffic()")
+        warn_of_former_name("Assumptions.exact()", "write Assumptions.simulated_traffic()")
         return cls.simulated_traffic()
 
     @classmethod
@@ -174,9 +182,7 @@ class Assumptions:
             "rss": cls.rss,
             "simulated": cls.simulated_traffic,
         }
-        if name == "exact":
-            warn_of_former_name('the profile "exact"', '"simulated"')
-            name = "simulated"
+        name = present_profile(name)
         if name not in profiles:
             raise ConfigError(f"unknown assumptions {name!r}; valid are {', '.join(map(repr, profiles))}")
         return profiles[name]()

@@ -215,7 +215,6 @@ def _experiment(options: EvaluateOptions) -> Experiment:
     for name in policies:
         if name.endswith(".zip") and (statistics := statistics_beside(Path(name))):
             _err.print(f"{name}: observations are normalised by {statistics.name} beside it")
-    same = ("episodes", "seed", "algorithm", "model", "simulator", "jobs", "output", "resume", "steps", "engine")
     return Experiment(
         policies,
         settings,
@@ -225,11 +224,20 @@ def _experiment(options: EvaluateOptions) -> Experiment:
         else [options.door.value],
         perceptions,
         sensors,
+        episodes=options.episodes,
+        seed=options.seed,
         config=config,
+        algorithm=options.algorithm,
+        model=options.model,
+        simulator=options.simulator,
+        jobs=options.jobs,
+        output=options.output,
+        resume=options.resume,
         shard=shard_of(options.shard),
         buffer=lengths(options.buffer or []),
+        steps=options.steps,
+        engine=options.engine,
         address=options.address,
-        **{name: getattr(options, name) for name in same},
     )
 
 

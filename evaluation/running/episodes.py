@@ -7,7 +7,6 @@ depend on the number of jobs.
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
@@ -15,6 +14,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
+from dynamics.deprecation import warn_of_former_name
 from evaluation.running.driver import Driver, DriverSpec, policy_name
 from evaluation.running.identity import check_files, hash_of_files
 from evaluation.running.named_policies import Policy
@@ -134,7 +134,7 @@ def _with_deprecated(run: RunOptions, keywords: dict[str, Any]) -> RunOptions:
     if unknown := sorted(set(keywords) - set(valid)):
         raise TypeError(f"run_paired() has no keyword {', '.join(unknown)}; run=RunOptions() has {', '.join(valid)}")
     named = ", ".join(f"{name}=..." for name in keywords)
-    warnings.warn(f"run_paired({named}) is deprecated: pass run=RunOptions({named})", DeprecationWarning, stacklevel=3)
+    warn_of_former_name(f"run_paired({named})", f"pass run=RunOptions({named})", stacklevel=4)
     return replace(run, **keywords)
 
 

@@ -14,7 +14,20 @@ from shield import Decision, ShieldConfig
 from shield.certificate.road.manoeuvres import brake_candidates
 from shield.certificate.road.verify import Clearance, PathVerifier
 
-__all__ = ["BODY", "CONFIG", "DT", "after", "along", "braking", "clear", "driven", "extents", "margin", "scene_of"]
+__all__ = [
+    "BODY",
+    "CONFIG",
+    "DT",
+    "after",
+    "along",
+    "braked",
+    "braking",
+    "clear",
+    "driven",
+    "extents",
+    "margin",
+    "scene_of",
+]
 
 CONFIG, DT = ShieldConfig(), 1 / 15
 BODY = [5.0, 2.0, 0.0]
@@ -34,6 +47,11 @@ def braking(scene, lane, fail=None, config=CONFIG, **marks) -> Clearance:
     candidates = brake_candidates(scene, [lane], [scene.ego[3]], fails, 1, config.braking)
     paths = candidates.paths(Rollouts(scene.dt, scene.road), scene.ego_road)
     return PathVerifier(scene, config, **marks).clearance(paths, candidates.lanes, candidates.fails)
+
+
+def braked(scene) -> np.ndarray:
+    """The path of braking in lane 0 from now on, (K, 4)."""
+    return brake_candidates(scene, [0], [0.0], [0], 0, CONFIG.braking).paths(Rollouts(DT), scene.ego_road)[0]
 
 
 def margin(scene, lane, fail=None, config=CONFIG, **marks) -> float:

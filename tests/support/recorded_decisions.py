@@ -154,7 +154,7 @@ def _quiet() -> Iterator[None]:
 
 def fingerprint() -> str:
     """Digest of how this machine rounds: sines, powers, products and solutions of linear equations [hex]."""
-    x = np.random.default_rng(0).uniform(-4.0, 4.0, (64, 64))
+    x = np.random.default_rng(0).uniform(-4.0, 4.0, (8, 8))
     parts = [np.sin(x), np.cos(x), np.tan(x), np.arctan(x), np.exp(x), np.abs(x) ** 1.7, x @ x, np.linalg.inv(x)]
     return sha256(b"".join(part.tobytes() for part in parts)).hexdigest()
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from dynamics.road_networks.simulation.ego_alone import EgoManoeuvre
+from dynamics.vehicle.bicycle import MAX_SPEED
 from shield.decision import Tier
 
 __all__ = ["COMMITTED", "TargetCommand", "candidates_of", "frames_of", "remainder_after_frame", "stopping"]
@@ -19,8 +20,6 @@ _SPEEDS = 8
 """Number of speeds, from the target speed of the decision down to 0, that are tried in its place."""
 _STOP = 5.0
 """Time to brake to a standstill at the default braking, rounded up [s]."""
-_FASTEST = 40.0
-"""Greatest speed of a vehicle of highway-env, `Vehicle.MAX_SPEED` [m/s]."""
 _GAIN = 5.0
 """Greatest speed above the present one that is tried in place of the target speed [m/s]."""
 
@@ -35,7 +34,7 @@ class TargetCommand(NamedTuple):
 def frames_of(frequency: float, braking: float) -> int:
     """Upper bound on the number of frames of a candidate, at `frequency` frames a second, with a stop at `braking`
     [m/s^2]: a candidate that is not at rest by then would verify without its last metres."""
-    return math.ceil((max(_ON) + max(_STOP, _FASTEST / braking)) * frequency)
+    return math.ceil((max(_ON) + max(_STOP, MAX_SPEED / braking)) * frequency)
 
 
 def stopping(lane: int, braking: float) -> EgoManoeuvre:

@@ -293,11 +293,11 @@ def _inside(old: NetworkVehicles, j: int, new: NetworkVehicles, i: int) -> bool:
                                           body has moved across its lane. Otherwise the judgement of the ego's own path
                                           has changed, and the loss of a plan is *unforeseen*
     `NEAR`, `FAR`                         here: the distance of a frame is between `least` and `most`
-    `LOW`, `HIGH`, `BODY_HALF`                 here
+    `LOW`, `HIGH`, `BODY_HALF`            here
     `FRONT`                               here; it is read only for vehicles with a distance obligation
     `START`                               here, where the vehicle is so far back, or may roll back so far
-    `CENTRED_FROM`                                here, as `BACK - NEAR`, where the band is wider than `CENTRED_HALF`
-    `CENTRED_HALF`                                *grown*: on one lane it depends on the length and the width alone
+    `CENTRED_FROM`                        here, as `CENTRED_FROM - NEAR`, where the band is wider than `CENTRED_HALF`
+    `CENTRED_HALF`                        *grown*: on one lane it depends on the length and the width alone
     `ranks`                               here
     `owes`, `gives`                       *distance*, *right of way*: the filter keeps them
                                           (`shield.certificate.network.obligations`)

@@ -56,10 +56,11 @@ class Network(AbstractEnv):
         return False
 
 
-def shielded(builder, start, speed, frequency):
-    """An ego at (lane, s) of a network, decided on in each frame."""
+def shielded(builder, start, speed, frequency, settings="worst-case", **config):
+    """An ego at (lane, s) of a network, decided on in each frame unless `config` has another frequency."""
     kind = type("Built", (Network,), {"build": staticmethod(builder), "start": start, "speed": speed})
-    env = ShieldedEnv(kind({"simulation_frequency": frequency, "policy_frequency": frequency}), "worst-case")
+    given = {"simulation_frequency": frequency, "policy_frequency": frequency, **config}
+    env = ShieldedEnv(kind(given), settings)
     env.reset(seed=0)
     return env
 
@@ -237,13 +238,9 @@ def with_side_road(network):
 def test_a_plan_with_weak_braking_is_judged_until_the_ego_rests():
     """At 2.25 m/s^2 the ego needs 13 s from 30 m/s. A plan that was cut off after 11 s verified, and the ego hit a
     standing vehicle."""
-    frequency, speed = 5, 30.0
-    kind = type("Built", (Network,), {"build": staticmethod(with_side_road), "start": (("a", "b", 0), 5.0)})
-    kind.speed = speed
-    config = {"simulation_frequency": frequency, "policy_frequency": 1}
-    config["action"] = {"type": "DiscreteMetaAction", "target_speeds": [10, 20, 30]}
-    env = ShieldedEnv(kind(config), ShieldConfig.for_roads().replace(braking=2.25))
-    env.reset(seed=0)
+    action = {"type": "DiscreteMetaAction", "target_speeds": [10, 20, 30]}
+    weak = ShieldConfig.for_roads().replace(braking=2.25)
+    env = shielded(with_side_road, (("a", "b", 0), 5.0), 30.0, 5, weak, policy_frequency=1, action=action)
     scripted(env, lambda frame: (210.0, 0.0, 0.0, 0.0))
     tiers = drive(env, FASTER, 16)
     assert "unforeseen" not in env.door.by_rule

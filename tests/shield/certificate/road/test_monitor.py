@@ -6,18 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from clause_scenes import CONFIG, DT, after, along, scene_of
+from clause_scenes import DT, after, along, braked, scene_of
 from cores import ContinuousCore, ShieldCore
 
 from dynamics.traffic.rules_of_the_road import RoadRule
-from dynamics.vehicle.rollouts import Rollouts
 from shield import Tier
-from shield.certificate.road.manoeuvres import brake_candidates
-
-
-def braked(scene):
-    """The path of braking in lane 0 from now on, (K, 4)."""
-    return brake_candidates(scene, [0], [0.0], [0], 0, CONFIG.braking).paths(Rollouts(DT), scene.ego_road)[0]
 
 
 @pytest.mark.parametrize("core", [ShieldCore, ContinuousCore])

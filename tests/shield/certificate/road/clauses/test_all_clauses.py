@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from clause_scenes import CONFIG, DT, along, driven, scene_of
+from clause_scenes import along, braked, driven, scene_of
 from cores import ContinuousCore, MetaCore, ShieldCore
 
-from dynamics.vehicle.rollouts import Rollouts
 from shield import Decision, Reason, Tier
-from shield.certificate.road.manoeuvres import brake_candidates
 from shield.pipelines.frames import first_verified
 
 
@@ -48,11 +46,6 @@ PIPELINES = {
     "throttle and wheel": inputs(1.0, 0.01),
     "mask": masked,
 }
-
-
-def braked(scene):
-    """The path of braking in lane 0 from now on, (K, 4)."""
-    return brake_candidates(scene, [0], [0.0], [0], 0, CONFIG.braking).paths(Rollouts(DT), scene.ego_road)[0]
 
 
 @pytest.mark.parametrize("door", PIPELINES)

@@ -83,8 +83,8 @@ def test_a_lane_whose_view_the_plan_will_leave_counts_as_left(r, way, frame):
 
 
 def test_a_precaution_that_refuses_every_plan_differs_from_a_lost_guarantee():
-    """A vehicle that may cut in refuses plans; the stored plan, which verifies without that clause, is continued. That happens in about a
-    quarter of the episodes; in which ones depends on how the processor rounds."""
+    """A vehicle that may cut in refuses plans; the stored plan, which verifies without that clause, is continued.
+    About a quarter of the episodes have one; which of them depends on how the processor rounds."""
     env = ShieldedEnv(make("inputs", 5))
     for seed in range(30):
         env.reset(seed=seed)

@@ -125,7 +125,7 @@ class PredictiveFilter:
         if best.status is Status.ERROR or not np.isfinite(best.violation):
             self._discard()
             return _nothing(best.status, problem, built, best)
-        self._plan = best.inputs
+        self._plan = best.guess
         return FilterResult(
             best.status,
             best.inputs.copy(),

@@ -6,7 +6,7 @@ With z = u / (half the range of the input), proposal z_p, road states x_k at the
 
     min  w |z_0 - z_p|^2 + smoothing sum |z_k - z_{k-1}|^2 + magnitude sum |z_k - z_ff|^2
          + reference terms in r_k, psi_k, v_k + penalty sum sigma
-    s.t. x_{k+1} = F(x_k, u_k) (Euler frames, exactly; or a model)        u in its box, v_k >= 0
+    s.t. x_{k+1} = F(x_k, u_k) (Euler frames, exactly; or a model)        u in its box, v_k >= 0 (see `without_reverse`)
          s_k + h_s(psi_k) <= s_min of obstacles passed behind             s_k - h_s >= s_max of obstacles passed ahead
          r_k + lat cos psi_k +- lon sin psi_k <= r_min, upper edge        the same at the lower side
          corridor_low <= r_k <= corridor_high

@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 
 from mpc.filter.problem import FREE, FilterSettings
-from mpc.filter.program.road_step import StageModel, stage_expression
+from mpc.filter.program.road_step import StageModel, stage_expression, without_reverse
 from mpc.filter.program.rows import end_function, row_function
 from mpc.filter.program.sides import SideChoice
 
@@ -128,5 +128,6 @@ def linearised(settings: FilterSettings, m: int, curved: bool, model: StageModel
 def _stage_function(settings: FilterSettings, frames: int, curved: bool, model: StageModel | None) -> ca.Function:
     """One stage of `frames` frames, with its Jacobians."""
     x, u, k = ca.SX.sym("x", 4), ca.SX.sym("u", 2), ca.SX.sym("k")
-    after = stage_expression(x, u, k if curved else None, settings.dt, frames, model)
+    held = without_reverse(u, x[3], settings.dt * frames)
+    after = stage_expression(x, held, k if curved else None, settings.dt, frames, model)
     return ca.Function("stage", [x, u, k], [after, ca.jacobian(after, x), ca.jacobian(after, u)])

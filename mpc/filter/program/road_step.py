@@ -28,7 +28,7 @@ import casadi as ca
 
 from dynamics.vehicle.bicycle import LENGTH, step_expression
 
-__all__ = ["StageModel", "feed_forward", "frame_expression", "rollout_function", "stage_expression"]
+__all__ = ["StageModel", "feed_forward", "frame_expression", "rollout_function", "stage_expression", "without_reverse"]
 
 _STRAIGHT = 1e-12
 """Curvature below which the arc's angle is computed to first order [1/m]."""
@@ -86,6 +86,11 @@ def stage_expression(
     for _ in range(substeps):
         state = frame_expression(state, control[0], control[1], curvature, dt)
     return state
+
+
+def without_reverse(control: ca.SX, speed: ca.SX, duration: float) -> ca.SX:
+    """The input (2, 1), with an acceleration that stops a car of that speed [m/s] but does not drive it backwards."""
+    return ca.vertcat(ca.fmax(control[0], -ca.fmax(speed, 0) / duration), control[1])
 
 
 def feed_forward(curvature: ca.SX, r: ca.SX) -> ca.SX:

@@ -17,15 +17,18 @@ __all__ = ["Descent", "descend"]
 
 _STILL = 1e-9
 """Backward speed up to which rounding is the cause [m/s]."""
-_ROUNDING = 1e-7
-"""Residual up to which rounding is the cause; with larger ones a plan may roll backwards too [m/s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Descent:
-    """Result of a descent. Attributes as in `FilterResult`; `solved` is the time spent in the solver [s]."""
+    """Result of a descent.
+
+    Attributes as in `FilterResult`; `guess` are the inputs before braking ends at a standstill, (N, 2), and `solved` is
+    the time spent in the solver [s].
+    """
 
     status: Status
+    guess: FloatArray
     inputs: FloatArray
     states: FloatArray
     sides: FloatArray
@@ -88,8 +91,6 @@ def descend(program: ProblemArrays, solver: QuadraticSolver[Any], guess: FloatAr
         program.inputs += (step * program.scale)[moves]
         np.clip(program.inputs, low, high, out=program.inputs)
         program.roll_out()
-        if answer.primal > _ROUNDING:
-            _stop_without_reverse(program)
         change = float(np.abs((program.inputs[0] - before) / program.scale).max() / 2)
         if sweeps > 1 and program.merit >= best:
             program.inputs[:] = 0.5 * (program.inputs + kept)
@@ -124,6 +125,7 @@ def descend(program: ProblemArrays, solver: QuadraticSolver[Any], guess: FloatAr
     return Descent(
         status,
         program.inputs.copy(),
+        _without_reverse(program),
         program.states.copy(),
         program.sides.copy(),
         slack,
@@ -158,16 +160,12 @@ def _adopt(program: ProblemArrays, wanted: FloatArray) -> bool:
     return False
 
 
-def _stop_without_reverse(program: ProblemArrays) -> None:
-    """Brake less where the plan would roll backwards within the solver's accuracy, so that it stops."""
-    speeds = program.states[:, RoadState.SPEED]
-    if not -program.settings.accuracy <= speeds.min() < -_STILL or program.state[RoadState.SPEED] < 0:
-        return
-    less = np.maximum.accumulate(np.maximum(-speeds, 0.0))
-    duration = program.settings.dt * np.array(program.settings.frames)
-    program.inputs[:, 0] += np.diff(less, prepend=0.0) / duration
-    np.clip(program.inputs, *program.limits, out=program.inputs)
-    program.roll_out()
+def _without_reverse(program: ProblemArrays) -> FloatArray:
+    """The inputs that are executed (N, 2): braking in a stage ends at a standstill."""
+    inputs, duration = program.inputs.copy(), program.settings.dt * np.array(program.settings.frames)
+    speeds = np.concatenate([program.state[RoadState.SPEED :], program.states[:-1, RoadState.SPEED]])
+    inputs[:, 0] = np.maximum(inputs[:, 0], -np.maximum(speeds, 0.0) / duration)
+    return inputs
 
 
 def _judge(violation: float, slack: float, tolerance: float, settled: bool) -> Status:

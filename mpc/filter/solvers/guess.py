@@ -11,7 +11,7 @@ import numpy.typing as npt
 from dynamics.state import FloatArray
 from dynamics.vehicle.bicycle import LENGTH
 from mpc.filter.problem import FilterProblem, FilterSettings
-from mpc.filter.program.road_step import feed_forward, stage_expression
+from mpc.filter.program.road_step import feed_forward, stage_expression, without_reverse
 
 __all__ = ["brake_guess", "braking_function", "in_force", "shifted"]
 
@@ -34,7 +34,10 @@ def in_force(frames: int, settings: FilterSettings) -> npt.NDArray[np.intp]:
 
 
 def brake_guess(problem: FilterProblem, settings: FilterSettings) -> FloatArray:
-    """The proposal's acceleration for one stage, then braking to a stop; steering along the road, (N, 2)."""
+    """The proposal's acceleration for one stage, then full braking; steering along the road, (N, 2).
+
+    Programs end braking at a standstill, in the stage of each rollout in which the car comes to rest.
+    """
     n = settings.stages
     curvature = np.zeros(n) if problem.curvature is None else problem.curvature
     first = np.array([settings.acceleration[0], 0.0]) if problem.proposal is None else problem.proposal
@@ -50,19 +53,17 @@ def braking_function(settings: FilterSettings) -> ca.Function:
     x, inputs = x0, []
     for k, frames in enumerate(settings.frames):
         psi, v, duration = x[2], x[3], settings.dt * frames
-        a = ca.fmax(settings.acceleration[0], -ca.fmax(v, 0) / duration)
         turn = ca.fmax(ca.fabs(v) * duration / (LENGTH / 2), 0.5)
         most = _TURN / turn
         wanted = ca.atan(2 * ca.tan(ca.asin(ca.fmax(ca.fmin(-_STRAIGHTEN * psi / turn, most), -most))))
         ideal = feed_forward(curvature[k], x[1])
         if k == 0:
-            a = ca.fmax(first[0], -ca.fmax(v, 0) / duration)
             angle = ca.atan(2 * ca.tan(ca.asin(ca.fmin(most, 0.5))))
             steer = ca.fmax(ca.fmin(first[1], ideal + angle), ideal - angle)
         else:
             steer = ideal + wanted
         steer = ca.fmax(ca.fmin(steer, settings.steering), -settings.steering)
-        u = ca.vertcat(a, steer)
+        u = ca.vertcat(first[0] if k == 0 else settings.acceleration[0], steer)
         inputs.append(u)
-        x = stage_expression(x, u, curvature[k], settings.dt, frames)
+        x = stage_expression(x, without_reverse(u, v, duration), curvature[k], settings.dt, frames)
     return ca.Function("braking", [x0, first, curvature], [ca.horzcat(*inputs)])

@@ -38,16 +38,21 @@ class Body(NamedTuple):
 
 
 @cache
-def shielded(env_id, door, **config):
-    """An environment whose episodes last, without new vehicles at intersections, with one of `SHIELDS`; cached."""
+def shielded(env_id, door, speeds=None, **config):
+    """An environment whose episodes last, without new vehicles at intersections, with one of `SHIELDS`; cached.
+
+    `speeds` are the ego's target speeds [m/s], a tuple; the environment's own by default.
+    """
     finite = {"spawn_probability": 0.0} if "intersection" in env_id else {}
+    if speeds is not None:
+        finite["action"] = {"type": "DiscreteMetaAction", "target_speeds": list(speeds)}
     made = gym.make(env_id, config={"duration": _LASTS, **finite, **config}, max_episode_steps=_LASTS)
     return ShieldedEnv(made, SHIELDS[door])
 
 
-def placed(env_id, door, ego, others=(), driver=IDMVehicle):
+def placed(env_id, door, ego, others=(), driver=IDMVehicle, speeds=None):
     """`shielded`, reset, with these bodies alone; `driver` is the class of the other vehicles."""
-    env = shielded(env_id, door, **({"initial_vehicle_count": 1} if "intersection" in env_id else {}))
+    env = shielded(env_id, door, speeds, **({"initial_vehicle_count": 1} if "intersection" in env_id else {}))
     env.reset(seed=0)
     road = env.unwrapped.road
     road.vehicles, road.objects = [_put(env.unwrapped.vehicle, ego)], []

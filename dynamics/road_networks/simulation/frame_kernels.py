@@ -264,9 +264,8 @@ def advance(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: 
 
 @kernel_no_refcount
 def on_way(rules: NetworkRules, f: FloatArray, g: IntArray) -> tuple[bool, bool]:
-    """Whether the ego is on the lane that is closest to it, and whether it is at the end of one from which no other
-    goes on: the road ends there, and what comes then is not known. Who can stop stops before, and is off the road
-    there."""
+    """Whether the ego is on the lane that is closest to it, and whether it is at the end of a lane without a next one.
+    An ego that can stop is off the road there."""
     ego = ego_of(g)
     network, lane = rules.network, g[LANE, ego]
     s, r = f[ALONG, ego], f[ACROSS, ego]

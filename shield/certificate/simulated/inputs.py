@@ -98,14 +98,11 @@ def _after(search: TrafficSearch, present: TrafficSearch, tail: BackupSequence, 
     set_root(search, present.futures, 0)
     hold(search, 0, throttle, wheel)
     frame(search, 0, sorted_in(search, 0))
-    on, at_end = on_road(search, 0)
     ego = ego_in(search, 0)
-    if futures.g[0, CRASHED, ego] != 0 or not on:
+    if futures.g[0, CRASHED, ego] != 0 or not on_road(search, 0):
         return -np.inf
     least = clearance(futures, 0, ego, search.bounds, search.row)
-    if at_end or least < 0:
-        return least if least >= 0 else -np.inf
-    return min(least, _goes_on(search, tail))
+    return min(least, _goes_on(search, tail)) if least >= 0 else -np.inf
 
 
 @kernel_no_refcount

@@ -157,13 +157,10 @@ def finish_action(search: TrafficSearch, target: int, wish: LaneSpeedTarget, flo
     futures, rules, bounds, allies = search.futures, search.rules, search.bounds, search.team.columns
     f, g, dt, ego = futures.f[target], futures.g[target], rules.times[0], ego_in(search, target)
     search.spent[0] += 1
-    if on_road(search, target)[1]:
-        return np.inf, 0.0
     level, least, lost = sorted_in(search, target), np.inf, 0.0
     for _ in range(rules.numbers[0]):
         level = frame(search, target, level)
-        on, at_end = on_road(search, target)
-        if g[CRASHED, ego] != 0 or not on:
+        if g[CRASHED, ego] != 0 or not on_road(search, target):
             return -np.inf, lost
         least = min(least, clearance(futures, target, ego, bounds, search.row))
         for i in range(allies.shape[0]):
@@ -172,7 +169,7 @@ def finish_action(search: TrafficSearch, target: int, wish: LaneSpeedTarget, flo
             least = min(least, clearance(futures, target, allies[i], bounds, search.row))
         left, right = lanes_beside(search, target)
         lost += (abs(wish.speed - f[SPEED, ego]) + wish.left * left + wish.right * right) * dt
-        if least < floor or at_end:
+        if least < floor:
             break
     return least, lost
 
@@ -189,8 +186,8 @@ def simulate_action(
 
     Returns
     -------
-    least : least clearance beyond the buffer during the decision [m]; -inf after a crash, or off the road. After the
-        end of the road nothing is checked.
+    least : least clearance beyond the buffer during the decision [m]; -inf after a crash, or off the road; +inf
+        without other bodies.
     lost : distance lost against the target command [m], including the cost of its lane.
     """
     begin_action(search, source, target, action)
@@ -199,7 +196,7 @@ def simulate_action(
 
 @kernel_no_refcount
 def simulate_sequence(search: TrafficSearch, actions: IntArray, length: int, rows: FloatArray) -> int:
-    """Simulate the first `length` actions, or until the ego's road ends, and write the bodies now and after each frame.
+    """Simulate the first `length` actions, and write the bodies now and after each frame.
 
     Parameters
     ----------
@@ -223,8 +220,6 @@ def simulate_sequence(search: TrafficSearch, actions: IntArray, length: int, row
             for i in range(f.shape[1]):
                 write_row(f, g, p, i, rows[n, i])
             n += 1
-            if on_road(search, target)[1]:
-                return n
     return n
 
 

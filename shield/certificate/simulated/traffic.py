@@ -63,14 +63,14 @@ def _frame_network(search: TrafficSearch, k: int, level: bool) -> bool:
 
 
 @kernel_no_refcount
-def _on_highway(search: TrafficSearch, k: int) -> tuple[bool, bool]:
+def _on_highway(search: TrafficSearch, k: int) -> bool:
     f, g = search.futures.f[k], search.futures.g[k]
-    return on_lane(search.rules.lanes, g[LANE, 0], f[X, 0], f[Y, 0], 0.0), False
+    return bool(on_lane(search.rules.lanes, g[LANE, 0], f[X, 0], f[Y, 0], 0.0))
 
 
 @kernel_no_refcount
-def _on_network(search: TrafficSearch, k: int) -> tuple[bool, bool]:
-    return _on_way(search.rules, search.futures.f[k], search.futures.g[k])
+def _on_network(search: TrafficSearch, k: int) -> bool:
+    return bool(_on_way(search.rules, search.futures.f[k], search.futures.g[k])[0])
 
 
 @kernel_inline
@@ -152,8 +152,9 @@ def frame(search: TrafficSearch, k: int, level: bool) -> bool:
 
 
 @dispatch_by_field_type({_HIGHWAY: _on_highway, _NETWORK: _on_network}, "rules")
-def on_road(search: TrafficSearch, k: int) -> tuple[bool, bool]:
-    """Whether the ego is on the road in future k, and whether it is where the road ends."""
+def on_road(search: TrafficSearch, k: int) -> bool:
+    """Whether the ego is on the road in future k. An ego that cannot stop drives on straight where a road ends, which
+    counts as on the road; for one that can stop it does not."""
     raise NotImplementedError
 
 

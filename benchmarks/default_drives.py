@@ -1,9 +1,11 @@
 """What the default shield costs and saves: crash rate and return of each environment with meta-actions, bare and behind
 `ShieldedEnv(env)`, on the same seeds.
 
-    python benchmarks/default_drives.py --episodes 1000 --seed 920000      # the table of docs/what-it-drives.md
+    python benchmarks/default_drives.py --episodes 1000 --seed 920000  # the table of docs/lab/what-it-drives.md
     python benchmarks/default_drives.py merge-v0 intersection-v2 --episodes 200 --seed 5000
     python benchmarks/default_drives.py merge-v0 roundabout-v0 --traffic aggressive
+
+`short_tables.py` writes the rows of docs/what-it-drives.md from that table.
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
-"""Drives the experiments of `benchmarks/results.toml`, and writes their tables and commands into docs/results.md.
+"""Drives the experiments of `benchmarks/results.toml`, and writes their tables and commands into docs/lab/results.md.
 
     python benchmarks/results.py                       # all of them, kept in runs/results; goes on where it was stopped
     python benchmarks/results.py --only "Planners"     # one table
     python benchmarks/results.py --episodes 5 --out runs/try --page ""   # a trial, that is printed alone
 
-One revision drives all: a table of another one in --out is refused.
+One revision drives all: a table of another one in --out is refused. The short table of docs/results.md has rows of
+these, and is written with them (`short_tables.py`).
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from short_tables import write_all
 
 from evaluation import Experiment, Result
 from evaluation.report.table import SUMMARY, markdown
@@ -24,6 +26,7 @@ from evaluation.running.manifest import commit
 from shield.errors import ConfigError
 
 ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "lab" / "results.md"
 FIRST, LAST = "<!-- tables: python benchmarks/results.py -->", "<!-- end of the tables -->"
 SHOWN = (
     *("setting", "policy", "shield", "verified against", "episodes", "crashes %", "off road %", "success %", "return"),
@@ -82,7 +85,7 @@ def main() -> None:
     parser.add_argument("--only", help="one title")
     parser.add_argument("--episodes", type=int, help="of each row, in place of those of the file")
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--page", default=str(ROOT / "docs" / "results.md"), help='"" prints only')
+    parser.add_argument("--page", default=str(PAGE), help='"" prints only')
     asked = parser.parse_args()
     tables = tomllib.loads((ROOT / "benchmarks" / "results.toml").read_text(encoding="utf-8"))["table"]
     parts = []
@@ -98,6 +101,8 @@ def main() -> None:
             raise ConfigError(f"{page.name} has no place for the tables: {FIRST} and {LAST}")
         body = "\n\n".join([FIRST, f"Revision {commit()[:7]}.", *parts, LAST])
         page.write_text(before + body + after, encoding="utf-8")
+        if page == PAGE:
+            write_all()
 
 
 if __name__ == "__main__":

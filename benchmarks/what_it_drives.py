@@ -1,7 +1,7 @@
 """What the shield drives: each environment that highway-env registers, and those of `evaluation`, with each kind of
 action behind each door, made, reset and driven for one decision.
 
-    python benchmarks/what_it_drives.py > table.md      # the table of docs/what-it-drives.md
+    python benchmarks/what_it_drives.py > tables.md     # those of docs/lab/what-it-drives.md and docs/what-it-drives.md
     python benchmarks/what_it_drives.py --reasons parking-v0 merge-v0      # why not
 """
 
@@ -135,6 +135,25 @@ def table(found: Iterable[Row]) -> str:
     return "\n".join(lines)
 
 
+def short_table(found: Iterable[Row]) -> str:
+    """Markdown: the wrappers that serve each environment with their default settings, a column for each kind of action.
+
+    "yes" is all wrappers, a dash none. A cell is empty where highway-env does not drive the environment with this
+    action.
+    """
+    cells: dict[str, dict[str, str]] = {}
+    for row in found:
+        served = [door for door, why in zip(DOORS, row.why[: len(DOORS)], strict=True) if not why]
+        cell = "yes" if len(served) == len(DOORS) else ", ".join(served) or "–"
+        cells.setdefault(row.env_id, dict.fromkeys(ACTIONS, ""))[row.action] = cell
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for env_id, of_actions in cells.items():
+        alike.setdefault(tuple(of_actions.values()), []).append(env_id)
+    lines = [f"| environments | {' | '.join(f'`{action}`' for action in ACTIONS)} |", "| :-- | :-- | :-- | :-- |"]
+    lines += [f"| {versions(names)} | {' | '.join(served)} |" for served, names in alike.items()]
+    return "\n".join(lines)
+
+
 def versions(names: Sequence[str]) -> str:
     """Names of environments, those that differ by their version together.
 
@@ -151,12 +170,12 @@ def versions(names: Sequence[str]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("env_ids", nargs="*", help="all by default")
-    parser.add_argument("--reasons", action="store_true", help="why each is not served, in place of the table")
+    parser.add_argument("--reasons", action="store_true", help="why each is not served, in place of the tables")
     asked = parser.parse_args()
     warnings.simplefilter("ignore")
     found = [row for env_id in asked.env_ids or env_ids() for row in rows(env_id)]
     if not asked.reasons:
-        print(table(found))
+        print(f"{table(found)}\n\n{short_table(found)}")
         return
     columns = [f"{settings}: {door}" for settings in CONFIGS for door in DOORS]
     for row in found:

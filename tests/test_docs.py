@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
-import sys
 import textwrap
 from dataclasses import fields
 from itertools import takewhile
@@ -31,8 +28,8 @@ COMMANDS = sorted({line for text in TEXT.values() for line in re.findall(r"^ *(s
 
 
 def test_a_policy_may_observe_lidar_and_images(capsys: pytest.CaptureFixture[str]) -> None:
-    (block,) = re.findall(r"```python\n(.*?)```", TEXT["what-it-drives.md"], re.DOTALL)
-    exec(compile(block, "what-it-drives.md", "exec"), {})
+    (block,) = re.findall(r"```python\n(.*?)```", TEXT["lab/what-it-drives.md"], re.DOTALL)
+    exec(compile(block, "lab/what-it-drives.md", "exec"), {})
     lines = capsys.readouterr().out.splitlines()
     assert [line.rpartition(" ")[0] for line in lines] == ["(64, 2)"] * 2 + ["(4, 128, 64)"] * 2
     assert {line.rpartition(" ")[2] for line in lines} <= {"none", "unverified"}
@@ -62,18 +59,6 @@ def test_every_environment_is_in_the_table_of_supported_environments() -> None:
     assert listed == {name for name, spec in gym.registry.items() if str(spec.entry_point).startswith(homes)}
 
 
-@pytest.mark.slow
-def test_the_table_of_supported_environments_is_the_output_of_its_script() -> None:
-    done = subprocess.run(
-        [sys.executable, str(ROOT / "benchmarks" / "what_it_drives.py")],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.strip() in TEXT["what-it-drives.md"]
-
-
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_option_of_every_command_exists(command: str) -> None:
     words = command.split(">")[0].split()[1:]
@@ -83,8 +68,8 @@ def test_every_option_of_every_command_exists(command: str) -> None:
         assert option in help_text, f"{option} of `{command}`"
 
 
-def test_the_page_on_configuration_has_every_setting_and_every_profile() -> None:
-    text = TEXT["configuration.md"].split("| configuration |")[0]
+def test_the_pages_on_configuration_have_every_setting_and_every_profile() -> None:
+    text = TEXT["configuration.md"].split("| configuration |")[0] + TEXT["lab/assumptions.md"]
     rows = {name for line in re.findall(r"^\| (`.*?) \|", text, re.MULTILINE) for name in re.findall(r"`(.*?)`", line)}
     buffer = {f"buffer.{each.name}" for each in fields(Buffer)}
     settings = {each.name for each in fields(ShieldConfig)} - {"buffer", "assumptions"}
@@ -93,9 +78,9 @@ def test_the_page_on_configuration_has_every_setting_and_every_profile() -> None
         assert f"`{name}`" in text, name
 
 
-def test_the_page_on_configuration_states_the_defaults() -> None:
+def test_the_page_on_assumptions_states_the_defaults() -> None:
     """Each assumption has a default in the profiles "idm" and "rss"; the page may say that both are the same."""
-    table = TEXT["configuration.md"].split("| assumption |")[1].split("\n\n")[0]
+    table = TEXT["lab/assumptions.md"].split("| assumption |")[1].split("\n\n")[0]
     for row in re.findall(r"^\| `.*\|$", table, re.MULTILINE):
         names, idm, rss, _ = (cell.strip() for cell in row.strip("|").split(" | "))
         own, other = (idm, rss) if rss != "the same" else (idm, idm)

@@ -10,7 +10,10 @@ from typing import Any
 import pytest
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "glossary.md"
-ROWS = re.findall(r"^\| ([a-z][^|]*) \| ([^|]+) \| ([^|]+) \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)[1:]
+ROWS = re.findall(
+    r"^- \*\*([a-z][^*]*)\*\*: (.+[.]) (`[\w.]+`(?:, `[\w.]+`)*)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE
+)
+"""The term, the meaning and the names in the code of each entry."""
 NAMES = sorted({name for *_, names in ROWS for name in re.findall(r"`([\w.]+)`", names)})
 
 
@@ -37,6 +40,7 @@ def test_a_name_of_the_glossary_exists(name: str) -> None:
 
 def test_terms_are_unique_and_in_order() -> None:
     terms = [term for term, *_ in ROWS]
+    assert len(terms) == PAGE.read_text(encoding="utf-8").count("\n- ")
     assert len(terms) >= 50
     assert terms == sorted(set(terms))
 

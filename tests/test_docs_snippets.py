@@ -84,7 +84,8 @@ def test_the_figures_of_the_readme_are_those_of_the_pages_it_names() -> None:
                 faster,
                 faster_return,
                 driven if many else results,
-                rf"^\| {env_id if many else setting} \|.* faster \|.*",
+                # The table of what-it-drives.md has always FASTER alone.
+                rf"^\| {env_id} \|.*" if many else rf"^\| {setting} \| faster \|.*",
             ),
         ):
             if crashes == "–":

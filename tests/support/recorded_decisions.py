@@ -4,7 +4,7 @@
     make decisions RECORD=--record      # write it anew, at a revision that means to differ
     python tests/support/recorded_decisions.py --only merge-v0
 
-Each cell of the table in docs/what-it-drives.md that is served (environment, kind of action, settings, wrapper) is
+Each cell of the table in docs/lab/what-it-drives.md that is served (environment, kind of action, settings, wrapper) is
 driven for some decisions with actions that a seed draws. Of each decision the file has what was executed, reason, tier,
 guarantee, what was done, margin, binding clause and vehicle, overridden frames, and the ego's state afterwards.
 `tests/shield/test_recorded_decisions.py` compares a part of them by default.
@@ -53,7 +53,7 @@ COUNTS = ("vehicle", "frames_overridden")
 
 
 class Cell(NamedTuple):
-    """A cell of the table in docs/what-it-drives.md."""
+    """A cell of the table in docs/lab/what-it-drives.md."""
 
     env_id: str
     action: str

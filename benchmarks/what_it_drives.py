@@ -49,9 +49,13 @@ class Row(NamedTuple):
 
 
 def env_ids() -> list[str]:
-    """What highway-env registers, and `evaluation`."""
-    homes = ("highway_env.", "evaluation.")
-    return [name for name, spec in gym.registry.items() if str(spec.entry_point).startswith(homes)]
+    """What highway-env registers, in its order, then `evaluation`, by name: its own order depends on the imports."""
+    homes: dict[str, list[str]] = {"highway_env.": [], "evaluation.": []}
+    for name, spec in gym.registry.items():
+        for home, names in homes.items():
+            if str(spec.entry_point).startswith(home):
+                names.append(name)
+    return [*homes["highway_env."], *sorted(homes["evaluation."])]
 
 
 def config_of(env_id: str, action: str) -> dict[str, Any] | None:

@@ -40,17 +40,17 @@ WEAK = {
     "the default": ShieldConfig(),
     "nobody drives below 20 m/s": ShieldConfig(assumptions=Assumptions(min_speed=20.0)),
     "seen from 6 m off": ShieldConfig(assumptions=Assumptions(visible_distance=6.0)),
-    "nobody enters blindly": ShieldConfig(assumptions=Assumptions(blind_merge=False)),
+    "nobody enters blindly": ShieldConfig(assumptions=Assumptions(simultaneous_merge=False)),
     "nobody settles or reacts late": ShieldConfig(assumptions=Assumptions(settle_time=0.0, reaction_time=0.0)),
-    "nobody slips in": ShieldConfig(assumptions=Assumptions(slip_in=False)),
-    "braking 2": ShieldConfig(assumptions=Assumptions(braking=2.0, calm_braking=2.0)),
+    "nobody slips in": ShieldConfig(assumptions=Assumptions(cut_in=False)),
+    "braking 2": ShieldConfig(assumptions=Assumptions(braking=2.0, comfortable_braking=2.0)),
     "no buffer": ShieldConfig(buffer=Buffer(0.0, 0.0)),
     "turning costs nothing": ShieldConfig(
-        assumptions=Assumptions(turning_loss=0.0, turning_action=0.0, turning_burst=0.0)
+        assumptions=Assumptions(turning_loss=0.0, turning_action=0.0, turning_action_in_one_second=0.0)
     ),
-    "calm braking 0.5": ShieldConfig(assumptions=Assumptions(calm_braking=0.5)),
+    "calm braking 0.5": ShieldConfig(assumptions=Assumptions(comfortable_braking=0.5)),
     "acceleration 1": ShieldConfig(assumptions=Assumptions(acceleration=1.0)),
-    "lean 1": ShieldConfig(assumptions=Assumptions(lean=1.0)),
+    "lean 1": ShieldConfig(assumptions=Assumptions(marking_tolerance=1.0)),
     "followers brake at 20": ShieldConfig(assumptions=Assumptions(follower_braking=20.0, reaction_time=0.0)),
 }
 

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from math import isfinite
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import tomli_w
 
-from dynamics.deprecation import warn_of_former_name
+from dynamics.deprecation import accept_former_keywords, warn_of_former_name, with_present_names
 from dynamics.errors import nearest_name_hint
-from dynamics.traffic.assumptions import Assumptions, present_profile
+from dynamics.traffic.assumptions import FORMER_ASSUMPTIONS, Assumptions, present_profile
 from shield.errors import ConfigError
 
 __all__ = ["MODES", "PERCEPTIONS", "PROFILES", "RULES_ALONE", "SIMULATED", "WORST_CASE", "Buffer", "ShieldConfig"]
@@ -142,17 +144,25 @@ class ShieldConfig:
         return cls(assumptions=Assumptions.moderate())
 
     @classmethod
-    def for_roads(cls, acceleration: float = 3.0, looks_ahead: bool = False, gives_way: bool = False) -> ShieldConfig:
+    @accept_former_keywords({"looks_ahead": "considers_connected_lanes"})
+    def for_roads(
+        cls, acceleration: float = 3.0, considers_connected_lanes: bool = False, gives_way: bool = False
+    ) -> ShieldConfig:
         """Defaults on road networks, with the assumptions of `Assumptions.roads()`.
 
         Parameters
         ----------
         acceleration : greatest acceleration of the traffic [m/s^2]: 3 for highway-env's, except 6 at its intersections.
-        looks_ahead : whether followers look beyond the end of their own lane, as on highway-env's roads with
-            `neighbour_vehicles_connected_lanes`.
+        considers_connected_lanes : whether followers consider vehicles beyond the end of their own lane, as on
+            highway-env's roads with `neighbour_vehicles_connected_lanes`.
         gives_way : whether a vehicle with less right of way than the ego waits for it.
         """
-        traffic = replace(Assumptions.roads(), acceleration=acceleration, looks_ahead=looks_ahead, gives_way=gives_way)
+        traffic = replace(
+            Assumptions.roads(),
+            acceleration=acceleration,
+            considers_connected_lanes=considers_connected_lanes,
+            gives_way=gives_way,
+        )
         return cls(assumptions=traffic)
 
     @classmethod
@@ -214,7 +224,7 @@ class ShieldConfig:
         if isinstance(given, str):
             assumptions = Assumptions.profile(given)
         else:
-            assumptions = _build(Assumptions, "assumptions", given)
+            assumptions = _build(Assumptions, "assumptions", given, FORMER_ASSUMPTIONS)
         found: ShieldConfig = _build(cls, "config", {**data, "buffer": buffer, "assumptions": assumptions})
         return found
 
@@ -260,10 +270,11 @@ class ShieldConfig:
         Path(path).write_text(self.to_toml(), encoding="utf-8")
 
 
-def _build(kind: Any, table: str, values: Any) -> Any:
-    """Instance of a settings class from a TOML table; raises `ConfigError` for unknown keys."""
+def _build(kind: Any, table: str, values: Any, former: Mapping[str, str] = MappingProxyType({})) -> Any:
+    """Instance of a settings class from a TOML table; raises `ConfigError` for unknown keys. Former keys warn."""
     if not isinstance(values, dict):
         raise ConfigError(f"{table} must be a table, got {values!r}")
+    values = with_present_names(values, former, f"the table {table}")
     valid = [f.name for f in fields(kind)]
     unknown = sorted(set(values) - set(valid))
     if unknown:

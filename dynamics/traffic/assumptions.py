@@ -10,10 +10,21 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from math import isfinite
 
-from dynamics.deprecation import warn_of_former_name
+from dynamics.deprecation import accept_former_fields, warn_of_former_name
 from dynamics.errors import ConfigError
 
-__all__ = ["Assumptions", "present_profile"]
+__all__ = ["FORMER_ASSUMPTIONS", "Assumptions", "present_profile"]
+
+FORMER_ASSUMPTIONS = {
+    "calm_braking": "comfortable_braking",
+    "turning_burst": "turning_action_in_one_second",
+    "lean": "marking_tolerance",
+    "waver": "lateral_deviation",
+    "blind_merge": "simultaneous_merge",
+    "slip_in": "cut_in",
+    "looks_ahead": "considers_connected_lanes",
+}
+"""Present names of fields of `Assumptions`, by the former name."""
 
 
 def present_profile(name: str) -> str:
@@ -24,6 +35,7 @@ def present_profile(name: str) -> str:
     return "simulated"
 
 
+@accept_former_fields(FORMER_ASSUMPTIONS)
 @dataclass(frozen=True, slots=True)
 class Assumptions:
     """Bounds on the behaviour of the other vehicles.
@@ -31,7 +43,7 @@ class Assumptions:
     Attributes
     ----------
     braking : greatest deceleration of any vehicle [m/s^2].
-    calm_braking : greatest deceleration of a vehicle that needs no more for the vehicles ahead, by IDM and MOBIL
+    comfortable_braking : greatest deceleration of a vehicle that needs no more for the vehicles ahead, by IDM and MOBIL
         (`dynamics.traffic.reaction`) [m/s^2]. It may brake harder where the ego's fail-safe keeps its room. If equal to
         `braking`, every vehicle may brake at `braking` at any time.
     acceleration : greatest acceleration of any vehicle [m/s^2].
@@ -44,27 +56,28 @@ class Assumptions:
     turning_action : greatest speed times distance that it may lose by turning [m^2/s]: half the square of the lateral
         speed, integrated over time. So a fast vehicle loses less distance.
     turning_loss_back, turning_action_back : rates at which these two allowances recover [m/s], [m^2/s^2].
-    turning_burst : greatest speed times distance that it may lose within any second [m^2/s]. This covers one lane
-        change, but not two; those of highway-env's cars reach at most 10.2.
+    turning_action_in_one_second : greatest speed times distance that it may lose within any second [m^2/s]. This
+        covers one lane change, but not two; those of highway-env's cars reach at most 10.2.
     slow_speed : speed below which no progress of a vehicle is assumed [m/s].
     reversing_speed : greatest speed backwards [m/s]; 0 if no vehicle reverses.
     queue_distance, queue_speed : a vehicle reverses only behind a vehicle in its lanes that is nearer than
         `queue_distance`, centre to centre [m], and slower than `queue_speed` [m/s]. Otherwise a reversing vehicle comes
         to rest within `runout_time`.
     runout_time : time within which a reversing vehicle comes to rest, where nothing ahead makes it reverse [s].
-    lean : how far a body may reach over a lane marking before it counts as in the next lane as well [m].
-    waver : greatest lateral deviation of a body from the centre of its lane while it keeps to the centre [m].
+    marking_tolerance : how far a body may reach over a lane marking before it counts as in the next lane as well [m].
+    lateral_deviation : greatest lateral deviation of a body from the centre of its lane, while it keeps to the centre
+        [m].
     follower_braking : least deceleration of a follower behind an ego that has entered its lane [m/s^2].
     reaction_time : time until the follower brakes [s], counted from when the ego is visible in its lane.
     visible_distance : distance from a lane's centre within which a vehicle counts as in the lane [m].
     settle_time : for this long after the ego became visible in a lane, a vehicle alongside that already turns towards
         the lane may still enter it [s].
-    blind_merge : whether a vehicle beside the lane that the ego is about to enter may enter it as well, while the ego
-        is not visible there. It does so if it gains (`dynamics.traffic.mobil`) or is on its way.
-    slip_in : whether a vehicle alongside may cut in behind an ego that pulls away from it, or before an ego from which
+    simultaneous_merge : whether a vehicle beside the lane that the ego is about to enter may enter it as well, while
+        the ego is not visible there. It does so if it gains (`dynamics.traffic.mobil`) or is on its way.
+    cut_in : whether a vehicle alongside may cut in behind an ego that pulls away from it, or before an ego from which
         it pulls away. MOBIL permits that once IDM's desired gap is zero (`shield.certificate.road.clauses.cut_in`).
-    looks_ahead : on road networks, whether vehicles behind the ego consider vehicles beyond the end of their own lane.
-        highway-env's traffic does so only if its road is configured to.
+    considers_connected_lanes : on road networks, whether vehicles behind the ego consider vehicles beyond the end of
+        their own lane. highway-env's traffic does so only if its road is configured to.
     gives_way : on road networks, whether a vehicle with less right of way than the ego waits for it
         (`dynamics.road_networks.reachable.rights`). highway-env's traffic does not always.
     simulated : whether the other vehicles are highway-env's own traffic, which is simulated; then none of the bounds
@@ -72,7 +85,7 @@ class Assumptions:
     """
 
     braking: float = 6.0
-    calm_braking: float = 3.0
+    comfortable_braking: float = 3.0
     acceleration: float = 6.0
     power: float = 75.0
     max_speed: float = 40.0
@@ -81,28 +94,28 @@ class Assumptions:
     turning_action: float = 7.0
     turning_loss_back: float = 0.5
     turning_action_back: float = 6.0
-    turning_burst: float = 11.5
+    turning_action_in_one_second: float = 11.5
     slow_speed: float = 4.0
     reversing_speed: float = 6.0
     queue_distance: float = 14.0
     queue_speed: float = 8.0
     runout_time: float = 1.25
-    lean: float = 0.15
-    waver: float = 0.25
+    marking_tolerance: float = 0.15
+    lateral_deviation: float = 0.25
     follower_braking: float = 6.0
     reaction_time: float = 0.2
     visible_distance: float = 3.0
     settle_time: float = 2.0
-    blind_merge: bool = True
-    slip_in: bool = True
-    looks_ahead: bool = False
+    simultaneous_merge: bool = True
+    cut_in: bool = True
+    considers_connected_lanes: bool = False
     gives_way: bool = False
     simulated: bool = False
 
     def __post_init__(self) -> None:
         for f in fields(self):
             value = getattr(self, f.name)
-            if f.name in ("blind_merge", "slip_in", "looks_ahead", "gives_way", "simulated"):
+            if f.name in ("simultaneous_merge", "cut_in", "considers_connected_lanes", "gives_way", "simulated"):
                 if not isinstance(value, bool):
                     raise ConfigError(f"Assumptions.{f.name} must be true or false, got {value!r}")
             elif isinstance(value, bool) or not isinstance(value, (int, float)) or not isfinite(value):
@@ -128,11 +141,11 @@ class Assumptions:
         """
         return cls(
             braking=8.0,
-            calm_braking=8.0,
+            comfortable_braking=8.0,
             max_speed=45.0,
             follower_braking=4.0,
             reaction_time=1.0,
-            looks_ahead=True,
+            considers_connected_lanes=True,
         )
 
     @classmethod
@@ -149,7 +162,7 @@ class Assumptions:
     def roads(cls) -> Assumptions:
         """highway-env's IDM traffic on road networks. It accelerates at no more than 3 m/s^2, up to the speed limit of
         its lanes, and does not yield to crossing or joining vehicles."""
-        return cls(acceleration=3.0, max_speed=30.0, waver=0.6)
+        return cls(acceleration=3.0, max_speed=30.0, lateral_deviation=0.6)
 
     @classmethod
     def simulated_traffic(cls) -> Assumptions:

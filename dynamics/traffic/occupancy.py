@@ -6,10 +6,10 @@ Road frame. Frame k = 1..K after the scene. The occupancy of a vehicle at frame 
 [low, high]: the hull of all places that its body can reach. Positions follow the simulator's explicit Euler steps
 (s_{k+1} = s_k + v_k dt), so the bound holds exactly and not only approximately.
 
-Along the road, the rear is that of a vehicle that brakes from now on as hard as it may. It brakes at `calm_braking`,
-and at up to `braking` from when a vehicle ahead may require that (`dynamics.traffic.reaction`). It loses what it may
-lose by turning (`turning_loss`), makes no progress below `slow_speed`, and may reverse behind a standing vehicle.
-The front is that of a vehicle that accelerates at `acceleration`, until it has to brake for the ego.
+Along the road, the rear is that of a vehicle that brakes from now on as hard as it may. It brakes at
+`comfortable_braking`, and at up to `braking` from when a vehicle ahead may require that (`dynamics.traffic.reaction`).
+It loses what it may lose by turning (`turning_loss`), makes no progress below `slow_speed`, and may reverse behind a
+standing vehicle. The front is that of a vehicle that accelerates at `acceleration`, until it has to brake for the ego.
 Across the road, a vehicle stays in the lanes that its body touches now or, at constant velocity, one frame ahead. Its
 position and heading within them do not matter. So late aborts of a lane change, lateral wander and sliding need no
 rules of their own. The bound does not cover a further lane that the vehicle may come to touch. It may do so only where
@@ -103,7 +103,8 @@ class Occupancy:
 
 @lru_cache(maxsize=16)
 def motion_settings(a: Assumptions, dt: float) -> tuple[Motion, FloatArray]:
-    """The bounds on the motion; and their numbers, followed by `lean` and `waver`, (19,)."""
+    """The bounds on the motion; and their numbers, followed by `marking_tolerance` and
+    `lateral_deviation`, (19,)."""
     motion = Motion(
         a.braking,
         a.acceleration,
@@ -115,15 +116,15 @@ def motion_settings(a: Assumptions, dt: float) -> tuple[Motion, FloatArray]:
         a.turning_action * (1 + _COARSE * dt),
         a.turning_loss_back,
         a.turning_action_back,
-        a.turning_burst,
-        min(a.calm_braking, a.braking),
+        a.turning_action_in_one_second,
+        min(a.comfortable_braking, a.braking),
         a.reversing_speed,
         a.queue_distance,
         a.queue_speed,
         a.runout_time,
         dt,
     )
-    return motion, np.array([*motion, a.lean, a.waver], dtype=float)
+    return motion, np.array([*motion, a.marking_tolerance, a.lateral_deviation], dtype=float)
 
 
 @kernel_no_refcount
@@ -251,7 +252,7 @@ class OtherVehicles:
         centers, width, growth, self.stretch = road.centers, float(road.width), _NO_GROWTH, _STRAIGHT
         if road.bends is not None and len(states):
             growth, bends = np.array([road.bends.growth(*size) for size in others[:, _SIZE]]), road.bends
-            lanes = LaneMarkings(centers, width, assumptions.lean, assumptions.waver, self.dt)
+            lanes = LaneMarkings(centers, width, assumptions.marking_tolerance, assumptions.lateral_deviation, self.dt)
             touched_lanes(others, states, growth, lanes, self.bodies)
             ends = bends.stretch(self.low), bends.stretch(self.high)
             self.stretch = np.stack([np.minimum(ends[0][0], ends[1][0]), np.maximum(ends[0][1], ends[1][1])])

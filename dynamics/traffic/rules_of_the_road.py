@@ -15,8 +15,8 @@ to the next, a vehicle may:
 5. *distance*: stay behind the ego and its buffer, if it is behind the ego in a lane that the ego owns. It may come
    beside the ego where the ego's fail-safe keeps its room;
 6. *crash*: not crash with a vehicle other than the ego;
-7. *braking*: brake harder than `calm_braking` only as needed for a vehicle ahead, or for one that may move in ahead
-   (`dynamics.traffic.reaction`); harder where the ego's fail-safe keeps its room;
+7. *braking*: brake harder than `comfortable_braking` only as needed for a vehicle ahead, or for one that may move in
+   ahead (`dynamics.traffic.reaction`); harder where the ego's fail-safe keeps its room;
 8. *appearing*: appear only where the ego's fail-safe keeps its room and its buffer. The past of a new vehicle is not
    known, so only the shield checks this rule (`shield.certificate.road.monitor`);
 9. *size*: grow in size only where the ego's fail-safe keeps its room.

@@ -109,7 +109,7 @@ class CompliantHighwayDriver(IDMVehicle):  # type: ignore[misc]
     def _choose(self) -> None:
         """Draw an acceleration and the number of frames for which it is kept."""
         self.left = int(self.draw.integers(*_HELD))
-        calm = RULES.calm_braking
+        calm = RULES.comfortable_braking
         self.held = float(self.draw.choice([-calm, -calm, -0.5 * calm, 0.0, RULES.acceleration, RULES.acceleration]))
         if 0 < self.ego.position[0] - self.position[0] < _HUNTS and self.draw.random() < 0.8:
             self.held = RULES.acceleration
@@ -204,9 +204,9 @@ class CompliantHighwayDriver(IDMVehicle):  # type: ignore[misc]
             elif lane != self._leaning() or lane == self.lane_index:
                 asked = self.acceleration(self, first)
                 off = abs(float(self.road.network.get_lane(lane).local_coordinates(first.position)[1]))
-                touches = off - 0.5 * first.WIDTH < _TOUCHES - RULES.lean
+                touches = off - 0.5 * first.WIDTH < _TOUCHES - RULES.marking_tolerance
                 # A vehicle that only comes near the lane is no reason for hard braking.
-                a = min(a, asked if touches else max(asked, -RULES.calm_braking))
+                a = min(a, asked if touches else max(asked, -RULES.comfortable_braking))
         return float(np.clip(a, max(-RULES.braking, -v / self.dt), RULES.acceleration))
 
     def _leaning(self) -> Any:

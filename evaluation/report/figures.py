@@ -171,7 +171,7 @@ def _occupancy() -> Figure:
     for text, at, color in (
         (f"one at {found.speeds[0]:g} m/s,\nnobody ahead", (1.05, 66.0), _OTHERS),
         (f"gains {a.acceleration:g} m/s²,\nless when fast", (2.35, 47.0), _INK),
-        (f"brakes at {a.calm_braking:g} m/s²,\nharder after 3 s", (3.35, 34.0), _INK),
+        (f"brakes at {a.comfortable_braking:g} m/s²,\nharder after 3 s", (3.35, 34.0), _INK),
         (f"one at {found.speeds[1]:g} m/s, behind\none that stands", (3.0, 13.0), _OWES),
         ("rear of the one that stands", (2.75, 4.0), _INK),
         ("may reverse from there", (2.75, -11.5), _INK),

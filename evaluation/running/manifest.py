@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from dynamics.errors import ConfigError
+from dynamics.traffic.assumptions import FORMER_ASSUMPTIONS
 from evaluation.running.identity import differences, versions
 
-__all__ = ["SECTIONS", "check_fits", "commit", "extended", "provenance"]
+__all__ = ["SECTIONS", "check_fits", "commit", "extended", "provenance", "with_present_assumptions"]
 
 SECTIONS = {"settings": "setting", "policies": "policy", "shields": "shield"}
 """Sections with named entries. A continued run may have other entries; entries of the same name have to be equal."""
@@ -106,6 +107,14 @@ def extended(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any
     return {**now, "asked": whole, "earlier": list(commands), "models": models}
 
 
+def with_present_assumptions(settings: Any) -> Any:
+    """Settings of a shield from a manifest, with the present names of assumptions; it may be of an earlier version."""
+    if not isinstance(settings, Mapping) or not isinstance(settings.get("assumptions"), Mapping):
+        return settings
+    named = {FORMER_ASSUMPTIONS.get(name, name): value for name, value in settings["assumptions"].items()}
+    return {**settings, "assumptions": named}
+
+
 def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     """Differences of two specifications, in words; named entries are compared if both have them."""
     found = differences(*({key: value for key, value in each.items() if key not in _FREE} for each in (before, now)))
@@ -114,6 +123,8 @@ def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]
         if not (isinstance(one, Mapping) and isinstance(two, Mapping)):
             found += differences({key: one}, {key: two})
             continue
+        if key == "shields":
+            one, two = ({name: with_present_assumptions(table) for name, table in each.items()} for each in (one, two))
         for name in sorted(one.keys() & two.keys()):
             found += [f"{word} {name}: {each}" for each in differences(one[name], two[name])]
     return found

@@ -1,5 +1,7 @@
 """Former names of public functions, members and values work for one release, and warn with the present name."""
 
+from dataclasses import replace
+
 import pytest
 
 from dynamics.traffic.assumptions import Assumptions
@@ -28,3 +30,42 @@ def test_the_former_name_of_the_strongest_guarantee_is_the_same_member():
 def test_an_unknown_member_is_an_attribute_error():
     with pytest.raises(AttributeError, match="COMPLETE"):
         Guarantee.COMPLETE  # noqa: B018
+
+
+FORMER = {
+    "calm_braking": ("comfortable_braking", 1.0),
+    "turning_burst": ("turning_action_in_one_second", 9.0),
+    "lean": ("marking_tolerance", 0.3),
+    "waver": ("lateral_deviation", 0.4),
+    "blind_merge": ("simultaneous_merge", False),
+    "slip_in": ("cut_in", False),
+    "looks_ahead": ("considers_connected_lanes", True),
+}
+
+
+@pytest.mark.parametrize("former", FORMER)
+def test_the_former_name_of_an_assumption_sets_and_reads_the_same_field(former):
+    name, value = FORMER[former]
+    present = Assumptions(**{name: value})
+    assert present != Assumptions()
+    with pytest.warns(DeprecationWarning, match=f"'{former}' of Assumptions is deprecated: write '{name}'") as warned:
+        assert Assumptions(**{former: value}) == present
+    assert warned[0].filename == __file__
+    with pytest.warns(DeprecationWarning, match=f"write '{name}'"):
+        assert replace(Assumptions(), **{former: value}) == present
+    with pytest.warns(DeprecationWarning, match=rf"write Assumptions\.{name}"):
+        assert getattr(present, former) == value
+    document = ShieldConfig(assumptions=present).to_toml()
+    assert former not in document
+    with pytest.warns(DeprecationWarning, match=f"'{former}' of the table assumptions"):
+        assert ShieldConfig.from_toml(document.replace(name, former)).assumptions == present
+
+
+def test_the_former_keyword_of_the_settings_on_road_networks():
+    with pytest.warns(DeprecationWarning, match="write 'considers_connected_lanes'"):
+        assert ShieldConfig.for_roads(looks_ahead=True) == ShieldConfig.for_roads(considers_connected_lanes=True)
+
+
+def test_an_unknown_keyword_is_still_refused():
+    with pytest.raises(TypeError, match="calm"):
+        Assumptions(calm=1.0)

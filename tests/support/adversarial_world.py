@@ -150,7 +150,7 @@ class World:
         if not touches_ego and not visible:
             # Nobody sees the ego in that lane. If it is about to enter it, those behind give way all the same.
             behind = car.s <= self.ego[0] - 1.0
-            return not self.coming(car, lane) or (self.assumptions.blind_merge and not behind)
+            return not self.coming(car, lane) or (self.assumptions.simultaneous_merge and not behind)
         if self.behind(car):
             return self.keeps_distance(car, self.assumptions.acceleration)
         v, top = max(self.ego[3], 0.0), max(self.ego[3], 0.0) + 5 * self.dt

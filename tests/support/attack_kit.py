@@ -23,7 +23,7 @@ Bounds = Mapping[str, tuple[float, float]]
 SLOW = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
 """Speeds of the meta-actions where the ego is to drive slowly."""
 
-WARY = ShieldConfig(assumptions=replace(Assumptions.idm(), calm_braking=Assumptions.idm().braking))
+WARY = ShieldConfig(assumptions=replace(Assumptions.idm(), comfortable_braking=Assumptions.idm().braking))
 """Counts on no reason for braking."""
 
 TRUCK, CAR, MOTORCYCLE = (12.0, 2.5), (5.0, 2.0), (2.0, 0.8)

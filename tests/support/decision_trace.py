@@ -30,9 +30,9 @@ TRUCKS = {"other_vehicles_type": "dynamics.traffic.mixed.WithTrucks"}
 AGGRESSIVE = {"vehicles_count": 30, "other_vehicles_type": TRAFFIC + "AggressiveVehicle"}
 LINEAR = {"lanes_count": 2, "vehicles_count": 12, "other_vehicles_type": TRAFFIC + "LinearVehicle"}
 SPEEDS = {"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 5, 10, 15, 20, 25, 30]}}
-WEAK = Assumptions(braking=2.0, calm_braking=1.0, slip_in=False, turning_action=1.0)
+WEAK = Assumptions(braking=2.0, comfortable_braking=1.0, cut_in=False, turning_action=1.0)
 WEAKER = Assumptions(
-    braking=1.0, calm_braking=0.3, acceleration=0.5, blind_merge=False, slip_in=False, reversing_speed=0.0
+    braking=1.0, comfortable_braking=0.3, acceleration=0.5, simultaneous_merge=False, cut_in=False, reversing_speed=0.0
 )
 SETTINGS: dict[str, tuple[str, dict[str, Any], ShieldConfig, int]] = {
     "fast": ("highway-fast-v0", {}, ShieldConfig(), 64),

@@ -57,9 +57,9 @@ def network_context(base: Any, alone: EgoOnNetwork, config: ShieldConfig) -> Net
         circles=circles,
         rights=right_of_way_by_lane(network.ids[:, PRIORITY], ways),
         ways=ways,
-        conduct=DrivingBounds(a.braking, a.acceleration, a.max_speed, a.waver, a.lean),
+        conduct=DrivingBounds(a.braking, a.acceleration, a.max_speed, a.lateral_deviation, a.marking_tolerance),
         duty=NetworkFollowerResponse(
-            a.follower_braking, math.ceil(a.reaction_time * frequency - 1e-9), a.looks_ahead, a.gives_way
+            a.follower_braking, math.ceil(a.reaction_time * frequency - 1e-9), a.considers_connected_lanes, a.gives_way
         ),
         body=EgoExtents(length, width, length + buffer.longitudinal, width + buffer.lateral, a.visible_distance),
         period=1 / frequency,

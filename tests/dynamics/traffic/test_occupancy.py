@@ -115,7 +115,7 @@ def test_constant_velocity_is_euler_with_nothing_done(speed, heading, dt):
         {"reaction_time": float("inf")},
         {"max_speed": "fast"},
         {"braking": True},
-        {"blind_merge": 1},
+        {"simultaneous_merge": 1},
         {"min_speed": 50.0},
     ],
 )

@@ -30,9 +30,9 @@ def brakes(*vehicles: tuple[float, ...], assumptions: Assumptions = IDM, ego: fl
 
 
 def test_no_vehicle_brakes_hard_on_a_free_road() -> None:
-    assert (brakes((0.0, 0.0, 25.0))[0] == IDM.calm_braking).all()
-    assert (brakes((0.0, 0.0, 25.0), (-9.0, 0.0, 30.0), (300.0, 0.0, 25.0))[0] == IDM.calm_braking).all()
-    assert (brakes((0.0, 0.0, 25.0), (610.0, 0.0, 0.0))[0] == IDM.calm_braking).all()
+    assert (brakes((0.0, 0.0, 25.0))[0] == IDM.comfortable_braking).all()
+    assert (brakes((0.0, 0.0, 25.0), (-9.0, 0.0, 30.0), (300.0, 0.0, 25.0))[0] == IDM.comfortable_braking).all()
+    assert (brakes((0.0, 0.0, 25.0), (610.0, 0.0, 0.0))[0] == IDM.comfortable_braking).all()
 
 
 def test_a_nearer_or_slower_leader_permits_harder_and_earlier_braking() -> None:
@@ -53,14 +53,14 @@ def test_a_follower_of_a_free_leader_brakes_later_than_one_of_a_blocked_leader()
 
 
 def test_a_vehicle_in_another_lane_permits_braking_once_it_may_enter() -> None:
-    alone = IDM.calm_braking * 30
+    alone = IDM.comfortable_braking * 30
     ahead = brakes((0.0, 0.0, 20.0), (30.0, 4.0, 20.0))[0]
     assert ahead[0] == IDM.braking  # MOBIL lets it come in at once
     beside = brakes((0.0, 0.0, 20.0), (2.0, 4.0, 20.0))[0]
-    assert beside[0] == IDM.calm_braking
+    assert beside[0] == IDM.comfortable_braking
     assert beside.sum() > alone  # once it has got ahead
     beyond = brakes((0.0, 0.0, 20.0), (30.0, 8.0, 20.0))[0]
-    assert beyond[0] == IDM.calm_braking
+    assert beyond[0] == IDM.comfortable_braking
     assert beside.sum() < ahead.sum()
     assert alone < beyond.sum() < ahead.sum()
     assert brakes((0.0, 0.0, 20.0), (-60.0, 4.0, 20.0))[0].sum() == pytest.approx(alone)
@@ -68,17 +68,17 @@ def test_a_vehicle_in_another_lane_permits_braking_once_it_may_enter() -> None:
 
 def test_a_vehicle_two_lanes_over_does_not_consider_entrants_of_the_lane_between() -> None:
     next_to = brakes((0.0, 0.0, 20.0), (12.0, 4.0, 20.0))[0]
-    assert (next_to[:6] == IDM.calm_braking).all()  # too near for MOBIL to let it in
+    assert (next_to[:6] == IDM.comfortable_braking).all()  # too near for MOBIL to let it in
     beyond = brakes((0.0, 0.0, 20.0), (12.0, 8.0, 20.0))[0]
-    assert beyond[1] == IDM.calm_braking  # it has to come nearer first
+    assert beyond[1] == IDM.comfortable_braking  # it has to come nearer first
     assert beyond[2] == IDM.braking
 
 
 def test_cases_in_which_the_hardest_braking_is_permitted() -> None:
     assert (brakes((0.0, 0.0, 20.0), ego=1.0) == IDM.braking).all()  # it may have the ego to brake for
-    assert (brakes((0.0, 0.0, 20.0), ego=-1.0) == IDM.calm_braking).all()
+    assert (brakes((0.0, 0.0, 20.0), ego=-1.0) == IDM.comfortable_braking).all()
     assert (brakes((0.0, 0.0, 20.0, 1.0)) == IDM.braking).all()
-    assert (brakes((0.0, 0.0, 20.0), assumptions=replace(IDM, calm_braking=6.0)) == 6.0).all()
+    assert (brakes((0.0, 0.0, 20.0), assumptions=replace(IDM, comfortable_braking=6.0)) == 6.0).all()
     assert (brakes((0.0, 0.0, 20.0), assumptions=Assumptions.rss()) == 8.0).all()
 
 
@@ -99,7 +99,7 @@ def test_highway_envs_own_traffic_brakes_no_harder_than_permitted(rate: int) -> 
             new = OtherVehicles(scene.others, scene.others_road, scene.road, IDM, scene.dt, old)
             if old is not None:
                 slowed = (old.states[:, 3] - new.states[:, 3]) / scene.dt
-                frames, hard = frames + len(slowed), hard + int((slowed > IDM.calm_braking).sum())
+                frames, hard = frames + len(slowed), hard + int((slowed > IDM.comfortable_braking).sum())
                 harder += int((slowed > old.bodies.brakes[:, 0] + 1e-6).sum())
                 grown += int((new.bodies.brakes[:, :-1] > old.bodies.brakes[:, 1:] + 1e-6).any(axis=1).sum())
             road.act()
@@ -150,7 +150,7 @@ def asked_of_everybody(rows: np.ndarray, ego: float) -> np.ndarray:
     for i in np.argsort(-s, kind="stable"):
         if ego > s[i] or wrecked[i]:
             continue
-        brakes = np.full(frames, a.calm_braking)
+        brakes = np.full(frames, a.comfortable_braking)
         for j in range(m):
             if j == i or not abs(s[j] - s[i]) <= 600:
                 continue

@@ -30,7 +30,7 @@ MERGE, ROUNDABOUT, EXIT = map(get_setting, ("merge", "roundabout", "exit"))
 TOLD = ShieldConfig.for_roads()
 PLANTED = TOLD.replace(assumptions=replace(TOLD.assumptions, visible_distance=8.0))
 """A shield that counts on being seen in a lane from two lanes beside it."""
-LOOKS_AHEAD = TOLD.replace(assumptions=replace(TOLD.assumptions, looks_ahead=True))
+LOOKS_AHEAD = TOLD.replace(assumptions=replace(TOLD.assumptions, considers_connected_lanes=True))
 """On merge-v0 no vehicle looks beyond the end of its own lane."""
 
 

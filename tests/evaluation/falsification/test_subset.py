@@ -129,15 +129,15 @@ def test_random_actions_are_drawn_anew_in_each_episode():
 @pytest.mark.parametrize(
     "weak",
     [
-        {"blind_merge": False, "slip_in": False},
+        {"simultaneous_merge": False, "cut_in": False},
         pytest.param({"visible_distance": 6.0}, marks=pytest.mark.slow),
         pytest.param({"min_speed": 20.0}, marks=pytest.mark.slow),
         pytest.param({"settle_time": 0.0, "reaction_time": 0.0}, marks=pytest.mark.slow),
-        pytest.param({"slip_in": False}, marks=pytest.mark.slow),
+        pytest.param({"cut_in": False}, marks=pytest.mark.slow),
     ],
 )
 def test_a_weak_assumption_is_found_out(weak, tmp_path):
-    setting = get_setting("abz-idm") if weak == {"slip_in": False} else FAST
+    setting = get_setting("abz-idm") if weak == {"cut_in": False} else FAST
     found = falsify(setting, ANY, ShieldConfig(assumptions=Assumptions(**weak)), episodes=5_000, seed=1)
     assert found.find.clearance == 0.0
     assert found.median > 1.5
@@ -150,8 +150,8 @@ def test_a_weak_assumption_is_found_out(weak, tmp_path):
 @pytest.mark.parametrize(
     "weak",
     [
-        {"braking": 2.0, "calm_braking": 2.0},
-        {"turning_loss": 0.0, "turning_action": 0.0, "turning_burst": 0.0},
+        {"braking": 2.0, "comfortable_braking": 2.0},
+        {"turning_loss": 0.0, "turning_action": 0.0, "turning_action_in_one_second": 0.0},
         {"acceleration": 1.0},
     ],
 )
@@ -221,8 +221,8 @@ def test_bold_drivers_find_nothing_in_the_default_for_longer():
     ("weak", "rule"),
     [
         ({"acceleration": 1.0}, "SPEED"),
-        ({"calm_braking": 0.5}, "BRAKING"),
-        pytest.param({"lean": 1.0}, "LANES", marks=pytest.mark.slow),
+        ({"comfortable_braking": 0.5}, "BRAKING"),
+        pytest.param({"marking_tolerance": 1.0}, "LANES", marks=pytest.mark.slow),
     ],
 )
 def test_bold_drivers_find_a_weak_assumption_out_by_the_monitor(weak, rule):

@@ -48,15 +48,15 @@ def test_the_bounds_are_those_of_the_assumptions():
     rear, front = found.moving
     stopped = rear[-1] - rear[0] + fast / 15
     # On a free road it brakes calmly for three seconds, and as hard as can be afterwards.
-    then = fast - 3 * a.calm_braking
+    then = fast - 3 * a.comfortable_braking
     lost = a.turning_loss * (1 + 3.5 / 15) + a.turning_loss_back * (3 + then / a.braking)
     assert stopped == pytest.approx(3 * (fast + then) / 2 + then**2 / (2 * a.braking) - lost, abs=1.5)
     assert np.diff(front).max() * 15 <= min(a.max_speed, fast + a.acceleration * found.time[-1])
     assert found.queueing[0][-1] < found.queueing[0][0] - 1
     assert found.queueing[0][-1] > found.stands - a.queue_distance - 5
     middle, off, across = found.around.high - found.around.low
-    assert middle == pytest.approx(2 + 2 * a.waver)
-    assert middle < off < 4 + 2 * a.lean < across
+    assert middle == pytest.approx(2 + 2 * a.lateral_deviation)
+    assert middle < off < 4 + 2 * a.marking_tolerance < across
 
 
 def test_only_vehicles_with_an_obligation_are_left_out_of_the_margin():

@@ -25,8 +25,9 @@ from shield.config import Buffer
 CARELESS = ShieldConfig(
     buffer=Buffer(0.0, 0.0),
     assumptions=Assumptions(
-        braking=0.1, calm_braking=0.1, acceleration=0.1, max_speed=10.0, blind_merge=False, slip_in=False,
-        turning_loss=0.0, turning_action=0.0, turning_burst=0.0, reversing_speed=0.0, visible_distance=1.0,
+        braking=0.1, comfortable_braking=0.1, acceleration=0.1, max_speed=10.0, simultaneous_merge=False, cut_in=False,
+        turning_loss=0.0, turning_action=0.0, turning_action_in_one_second=0.0, reversing_speed=0.0,
+        visible_distance=1.0,
     ),
 )  # fmt: skip
 DENSE = Setting("dense", "highway-fast-v0", {"vehicles_density": 2.5, "duration": 12})

@@ -22,9 +22,9 @@ LINEAR = {"lanes_count": 2, "vehicles_count": 8, "other_vehicles_type": TRAFFIC 
 SPEEDS = {"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 5, 10, 15, 20, 25, 30]}}
 # Vehicles that violate these rules are in the way, so the stored plan, evasion and the largest margin are tried as
 # well.
-WEAK = Assumptions(braking=2.0, calm_braking=1.0, slip_in=False, turning_action=1.0)
+WEAK = Assumptions(braking=2.0, comfortable_braking=1.0, cut_in=False, turning_action=1.0)
 WEAKER = Assumptions(
-    braking=1.0, calm_braking=0.3, acceleration=0.5, blind_merge=False, slip_in=False, reversing_speed=0.0
+    braking=1.0, comfortable_braking=0.3, acceleration=0.5, simultaneous_merge=False, cut_in=False, reversing_speed=0.0
 )
 
 

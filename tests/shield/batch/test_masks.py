@@ -18,7 +18,7 @@ from shield.certificate.simulated.highways import SimulatedHighways
 from shield.certificate.simulated.roads import SimulatedRoads
 from shield.config import PROFILES
 
-WEAK = Assumptions(braking=2.0, calm_braking=1.0, slip_in=False, turning_action=1.0)
+WEAK = Assumptions(braking=2.0, comfortable_braking=1.0, cut_in=False, turning_action=1.0)
 EXACT = ShieldConfig.simulated_traffic()
 
 

@@ -294,5 +294,5 @@ def test_the_worst_case_has_the_settings_for_its_traffic():
     """Those of intersections accelerate harder, and the settings say so."""
     assert isinstance(shielded("roundabout-v1")._door, NetworkFilter)
     assert shielded("intersection-v0").config == ShieldConfig.for_roads(6.0)
-    assert shielded("roundabout-v1").config.assumptions.looks_ahead
+    assert shielded("roundabout-v1").config.assumptions.considers_connected_lanes
     assert ShieldConfig.profile("roads") == ShieldConfig.for_roads()

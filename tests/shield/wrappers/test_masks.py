@@ -12,8 +12,8 @@ WORLDS = {
     "certificate": ("highway-fast-v0", ShieldConfig()),
     "simulated": ("highway-fast-v0", ShieldConfig.simulated_traffic()),
     "simulated network": ("roundabout-v1", ShieldConfig.simulated_traffic()),
-    "network": ("roundabout-v1", ShieldConfig.for_roads(looks_ahead=True)),
-    "right of way": ("roundabout-v1", ShieldConfig.for_roads(looks_ahead=True, gives_way=True)),
+    "network": ("roundabout-v1", ShieldConfig.for_roads(considers_connected_lanes=True)),
+    "right of way": ("roundabout-v1", ShieldConfig.for_roads(considers_connected_lanes=True, gives_way=True)),
 }
 
 

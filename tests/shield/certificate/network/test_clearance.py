@@ -79,7 +79,9 @@ def test_a_vehicle_ahead_on_a_ring_does_not_count_as_a_follower(env_id):
     """A vehicle that looks beyond the end of its lane reaches the ego once around the ring too, and must keep its
     distance there, not at its present place. The path stays in the lane of that vehicle; in the next lane no vehicle
     has an obligation."""
-    door = scene(env_id, RING, 2.0, 3.0, [(RING, 9.0, 1.0)], config=ShieldConfig.for_roads(looks_ahead=True))
+    door = scene(
+        env_id, RING, 2.0, 3.0, [(RING, 9.0, 1.0)], config=ShieldConfig.for_roads(considers_connected_lanes=True)
+    )
     alone = margin(door, 1.0, 3.0)
     assert alone < CLEAR
     margin(door, 0.0, 0.0)
@@ -94,7 +96,7 @@ def test_a_follower_sees_the_ego_in_its_own_lane_only():
     behind = [(lane, 180.0, 20.0)]
     door = scene("merge-v0", after, 6.0, 5.0, behind)
     assert margin(door, 0.0, 0.0) < CLEAR
-    ahead = scene("merge-v0", after, 6.0, 5.0, behind, config=ShieldConfig.for_roads(looks_ahead=True))
+    ahead = scene("merge-v0", after, 6.0, 5.0, behind, config=ShieldConfig.for_roads(considers_connected_lanes=True))
     assert margin(ahead, 0.0, 0.0) >= CLEAR
     # In its own lane the follower sees the ego.
     assert margin(scene("merge-v0", after, 60.0, 5.0, [(after, 10.0, 20.0)]), 0.0, 0.0) >= CLEAR

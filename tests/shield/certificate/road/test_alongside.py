@@ -140,5 +140,5 @@ def test_an_ego_without_a_possible_cut_in_is_not_refused(change: dict[str, Any])
 
 def test_the_assumption_of_cut_ins_can_be_switched_off() -> None:
     scene = scene_of(offset=0.7, u=34.0, behind=1.0, v=18.5, gap=12.0, leader=10.0)
-    off = ShieldConfig(assumptions=replace(CONFIG.assumptions, slip_in=False))
+    off = ShieldConfig(assumptions=replace(CONFIG.assumptions, cut_in=False))
     assert judged(scene, off) == np.inf

@@ -10,7 +10,7 @@ from cores import ShieldCore
 
 
 def test_a_vehicle_beyond_the_entered_lane_may_enter_it_too():
-    blind = CONFIG.replace(assumptions=replace(CONFIG.assumptions, blind_merge=False))
+    blind = CONFIG.replace(assumptions=replace(CONFIG.assumptions, simultaneous_merge=False))
     slow = 30, 8, 0, 10
     for at in (8, -3):
         held_up = scene_of((0, 0, 0, 20), (at, 8, 0, 15), slow)

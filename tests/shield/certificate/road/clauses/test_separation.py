@@ -10,7 +10,7 @@ from clause_scenes import CONFIG, DT, along, braking, clear, driven, margin, sce
 
 from shield import Buffer
 
-HELD_UP = CONFIG.replace(assumptions=replace(CONFIG.assumptions, calm_braking=6.0))
+HELD_UP = CONFIG.replace(assumptions=replace(CONFIG.assumptions, comfortable_braking=6.0))
 
 
 def beside(psi, at):

@@ -61,7 +61,7 @@ ray: $(STAMP)
 mutants: $(STAMP)
 	$(BIN)/python tests/support/mutation_check.py --jobs $(JOBS)
 
-# The doors and the exact rollouts on the older versions of highway-env that are supported.
+# The wrappers and the simulated rollouts on the older versions of highway-env that are supported.
 compat: $(STAMP)
 	for version in 1.10.1 1.10.2 1.11; do \
 		$(BIN)/python -m pip install -q --no-deps --upgrade --target $(VENV)/highway-env-$$version highway-env==$$version \

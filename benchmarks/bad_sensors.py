@@ -74,7 +74,7 @@ def shielded(sigma: FloatArray, kind: str, config: PerceptionConfig) -> tuple[Sh
 
 def perception_of(env: ShieldedEnv) -> ObservationPerception:
     """What makes the scenes of a shielded environment."""
-    reader: Any = env.door.reader  # type: ignore[union-attr]
+    reader: Any = env.filter.reader  # type: ignore[union-attr]
     found: ObservationPerception = reader.perception
     return found
 

@@ -78,7 +78,7 @@ def measure(kind: str, bounds: str, bound: float, seeds: range) -> Count:
     found, observe = Count(), sensor.observation
 
     def watched(observation: Any) -> Any:
-        if env.door is not None and env.door.reader._perception is not None:  # type: ignore[union-attr]
+        if env.filter is not None and env.filter.reader._perception is not None:  # type: ignore[union-attr]
             perception = perception_of(env)
             perception._watched = True  # the scores of Gaussian bounds are asked for as well
             found.look(perception, sensor)

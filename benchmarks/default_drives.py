@@ -43,7 +43,7 @@ class Row(NamedTuple):
 
 def episodes(setting: Setting, policy: str, variant: ShieldVariant, seeds: range, jobs: int) -> pd.DataFrame:
     """Episodes bare or behind the default shield: side by side where they are compiled so, else one by one."""
-    config = ShieldConfig(mode="none") if variant.door == "none" else variant.config
+    config = ShieldConfig(mode="none") if variant.placement == "none" else variant.config
     try:
         return Many(setting, policy, config).run(seeds)
     except ConfigError:

@@ -1,10 +1,10 @@
 """What `decision.explain()` takes when it is asked for, and what being able to answer costs a step otherwise, in
 processor time.
 
-python -m benchmarks.explain [DOOR ...]
+python -m benchmarks.explain [NAME ...]
 
-Each door is measured in a process of its own, so "first" has what is read from the disk when the first explanation is
-asked for; the others are of the steps after that. Kernels have to be compiled already (`shield warm`).
+Each setting is measured in a process of its own, so "first" includes what the first explanation reads
+from the disk; the others are of the steps after that. Kernels have to be compiled already (`shield warm`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from shield.filters.simulated.predicted_scene import PredictedScene
 from shield.pipelines.decide import DecisionCore
 
 INPUTS = {"action": {"type": "ContinuousAction"}}
-DOORS: dict[str, tuple[str, dict[str, Any], ShieldConfig]] = {
+SETTINGS: dict[str, tuple[str, dict[str, Any], ShieldConfig]] = {
     "highway, meta-actions": ("highway-fast-v0", {}, ShieldConfig()),
     "highway, inputs": ("highway-fast-v0", INPUTS, ShieldConfig()),
     "highway, simulated": ("highway-fast-v0", {}, ShieldConfig.simulated_traffic()),
@@ -42,7 +42,7 @@ STEPS, ASKED = 60, 400
 
 def drive(name: str, ask: bool, steps: int = STEPS) -> tuple[list[float], list[float]]:
     """Processor seconds of each step of the shielded environment, and of each explanation, over so many steps."""
-    env_id, settings, config = DOORS[name]
+    env_id, settings, config = SETTINGS[name]
     env = ShieldedEnv(gym.make(env_id, config=settings), config)
     rng, seed, done = np.random.default_rng(0), 0, True
     stepping: list[float] = []
@@ -84,7 +84,7 @@ def without_sources() -> Any:
 
 
 def row(name: str) -> str:
-    """What is measured of a door, as a row of the table."""
+    """What is measured of a setting, as a row of the table."""
     first, *asked = drive(name, True, ASKED)[1] or [np.nan]
     steps: dict[bool, list[float]] = {True: [], False: []}
     for _ in range(3):
@@ -99,10 +99,10 @@ def row(name: str) -> str:
 
 
 def main() -> None:
-    """Print a row for each door."""
-    print("| door | explanations | ms first | p50 | p99 | most | ms a step, kept | not kept |")
+    """Print a row for each setting."""
+    print("| setting | explanations | ms first | p50 | p99 | most | ms a step, kept | not kept |")
     print("|:--|--:|--:|--:|--:|--:|--:|--:|")
-    for name in sys.argv[1:] or DOORS:
+    for name in sys.argv[1:] or SETTINGS:
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
             print(pool.submit(row, name).result(), flush=True)
 

@@ -56,7 +56,7 @@ class Trial:
             return see(own, observation, frame, control)
 
         self.env.reset(seed=seed)
-        reader = self.env.door.reader  # type: ignore[union-attr]
+        reader = self.env.filter.reader  # type: ignore[union-attr]
         ObservationPerception.see = watched  # type: ignore[method-assign]
         try:
             for _ in drive(self.env, seed):

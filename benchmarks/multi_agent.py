@@ -68,9 +68,9 @@ def main() -> None:
             crashed, into, all_of_them, arrived, decisions, overridden = map(sum, zip(*rows, strict=True))
             rates = " | ".join(share(each, len(rows)) for each in (crashed, into, all_of_them))
             rates += f" | {100 * arrived / (asked.egos * len(rows)):.1f}"
-            door = "all" if shielded else "none"
+            egos = "all" if shielded else "none"
             print(
-                f"| {asked.egos} | {policy} | {door} | {len(rows)} | {rates} | {100 * overridden / decisions:.1f} |",
+                f"| {asked.egos} | {policy} | {egos} | {len(rows)} | {rates} | {100 * overridden / decisions:.1f} |",
                 flush=True,
             )
 

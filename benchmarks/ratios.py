@@ -156,11 +156,11 @@ def step_share(policy: Any, decisions: int) -> tuple[list[float], list[float], l
     return with_shield, without, inside
 
 
-def latencies(policy: Any, door: str, decisions: int) -> tuple[list[float], float]:
+def latencies(policy: Any, wrapper: str, decisions: int) -> tuple[list[float], float]:
     """Latency of each decision among 20 vehicles [s], and the share of decisions that were overridden."""
     env: Any = gym.make("highway-fast-v0")
     actor: Any = policy
-    if door == "ShieldedEnv":
+    if wrapper == "ShieldedEnv":
         env = ShieldedEnv(env)
     else:
         actor = Shield(policy, env=env)
@@ -170,7 +170,7 @@ def latencies(policy: Any, door: str, decisions: int) -> tuple[list[float], floa
     while len(times) < decisions:
         action = int(actor.predict(obs, deterministic=True)[0])
         obs, _, terminated, truncated, _ = env.step(action)
-        last = env.last_decision if door == "ShieldedEnv" else actor.last_decision
+        last = env.last_decision if wrapper == "ShieldedEnv" else actor.last_decision
         i += 1
         if i > warm:
             times.append(last.latency)
@@ -206,11 +206,11 @@ def main() -> None:
         table.add_row("", "ShieldedEnv adds, wall, median of pairs", f"{paired:+.1%}")
         table.add_row("", "time inside the shield / bare, of sums", f"{sum(inside) / sum(without):.1%}")
     table.add_section()
-    for door in ("Shield", "ShieldedEnv"):
+    for wrapper in ("Shield", "ShieldedEnv"):
         for policy in ("faster", "random"):
-            times, share = latencies(make[policy](), door, decisions)
+            times, share = latencies(make[policy](), wrapper, decisions)
             p50, p99 = np.percentile(times, [50, 99])
-            what = f"decision of {door}, {policy}, {share:.0%} overridden"
+            what = f"decision of {wrapper}, {policy}, {share:.0%} overridden"
             table.add_row(what, "p50 / p99", f"{1e3 * p50:.2f} / {1e3 * p99:.2f} ms")
     Console(width=110).print(table)
 

@@ -26,15 +26,15 @@ def main() -> None:
         raw = setting_of(env_id).make()
         config = default_on(raw.unwrapped)
         env = ShieldedEnv(raw, config.replace(assumptions=replace(config.assumptions, gives_way=True)))
-        door, broken, rules = env.door, 0, Counter[str]()
-        assert isinstance(door, NetworkFilter)
+        network_filter, broken, rules = env.filter, 0, Counter[str]()
+        assert isinstance(network_filter, NetworkFilter)
         for seed in range(FIRST, FIRST + EPISODES):
             env.reset(seed=seed)
             for _ in range(LONGEST):
                 *_, terminated, truncated, _ = env.step(faster)
                 if terminated or truncated:
                     break
-            found = door.watch.by_rule
+            found = network_filter.watch.by_rule
             broken += NetworkRule.RIGHT_OF_WAY in found
             rules.update({str(rule): count for rule, count in found.items()})
         share = wilson(broken, EPISODES)

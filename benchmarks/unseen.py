@@ -48,7 +48,7 @@ def main() -> None:
     asked = parser.parse_args()
     found: Counter[str] = Counter()
     env = ShieldedEnv(gym.make("highway-fast-v0"), perception="observation")
-    reader: Any = env.door.reader  # type: ignore[union-attr]
+    reader: Any = env.filter.reader  # type: ignore[union-attr]
     for seed in range(asked.seed, asked.seed + asked.episodes):
         env.reset(seed=seed)
         over = False

@@ -1,5 +1,5 @@
 """What the shield drives: each environment that highway-env registers, and those of `evaluation`, with each kind of
-action behind each door, made, reset and driven for one decision.
+action behind each wrapper, made, reset and driven for one decision.
 
     python benchmarks/what_it_drives.py > tables.md     # those of docs/lab/what-it-drives.md and docs/what-it-drives.md
     python benchmarks/what_it_drives.py --reasons parking-v0 merge-v0      # why not
@@ -25,7 +25,7 @@ from shield.decision import Reason
 from shield.errors import ShieldError
 
 ACTIONS = ("DiscreteMetaAction", "ContinuousAction", "DiscreteAction")
-DOORS: Mapping[str, Callable[[Any, Any, str | None], Any]] = {
+WRAPPERS: Mapping[str, Callable[[Any, Any, str | None], Any]] = {
     "`ShieldedEnv`": lambda env, action, config: ShieldedEnv(env, config),
     "`Shield`": lambda env, action, config: Shield(lambda observation: action, env, config),
     "`Shield(frames=False)`": lambda env, action, config: Shield(lambda observation: action, env, config, frames=False),
@@ -35,13 +35,13 @@ CONFIGS: Mapping[str, Callable[[], str | None]] = {
     "worst case": lambda: "worst-case",
     "simulated": lambda: "simulated",
 }
-"""None is what a door takes by itself."""
+"""None is what a wrapper takes by itself."""
 FAILED = (Reason.BAD_SCENE, Reason.BAD_ACTION, Reason.STAGE_FAILED, Reason.POLICY_FAILED)
 
 
 class Row(NamedTuple):
-    """One environment with one kind of action: for each of the settings and each door why it is not served, "" where it
-    is."""
+    """One environment with one kind of action: for each of the settings and each wrapper the refusal, "" if there is
+    none."""
 
     env_id: str
     action: str
@@ -89,13 +89,13 @@ def idle(env: Any) -> Any:
     return one(env.action_space)
 
 
-def refusal(env_id: str, config: dict[str, Any], door: str, settings: str | None) -> str:
-    """Why a door does not serve an environment, "" where it has decided in it."""
+def refusal(env_id: str, config: dict[str, Any], wrapper: str, settings: str | None) -> str:
+    """Why a wrapper does not serve an environment, "" where it has decided in it."""
     env = made(env_id, config)
     try:
         observation, _ = env.reset(seed=0)
         action = idle(env)
-        shielded = DOORS[door](env, action, settings)
+        shielded = WRAPPERS[wrapper](env, action, settings)
         if isinstance(shielded, ShieldedEnv):
             shielded.reset(seed=0)
             shielded.step(action)
@@ -122,7 +122,7 @@ def rows(env_id: str) -> Iterator[Row]:
         except Exception as error:
             print(f"{env_id} with {action}: {type(error).__name__}: {error}", file=sys.stderr)
             continue
-        why = (refusal(env_id, config, door, settings()) for settings in CONFIGS.values() for door in DOORS)
+        why = (refusal(env_id, config, wrapper, settings()) for settings in CONFIGS.values() for wrapper in WRAPPERS)
         yield Row(env_id, action, tuple(why))
 
 
@@ -131,7 +131,7 @@ def table(found: Iterable[Row]) -> str:
     alike: dict[tuple[str, tuple[bool, ...]], list[str]] = {}
     for row in found:
         alike.setdefault((row.action, tuple(not why for why in row.why)), []).append(row.env_id)
-    columns = [f"{settings}: {door}" for settings in CONFIGS for door in DOORS]
+    columns = [f"{settings}: {wrapper}" for settings in CONFIGS for wrapper in WRAPPERS]
     lines = [f"| environments | actions | {' | '.join(columns)} |", f"| :-- | :-- |{' :-: |' * len(columns)}"]
     for (action, served), names in sorted(alike.items(), key=lambda item: ACTIONS.index(item[0][0])):
         cells = " | ".join("yes" if there else "–" for there in served)
@@ -181,7 +181,7 @@ def main() -> None:
     if not asked.reasons:
         print(f"{table(found)}\n\n{short_table(found)}")
         return
-    columns = [f"{settings}: {door}" for settings in CONFIGS for door in DOORS]
+    columns = [f"{settings}: {wrapper}" for settings in CONFIGS for wrapper in WRAPPERS]
     for row in found:
         for column, why in zip(columns, row.why, strict=True):
             print(f"{row.env_id}, {row.action}, {column}: {why or 'yes'}")

@@ -26,7 +26,7 @@ __all__ = [
 ]
 
 
-def base_environments(env: Any, door: str) -> list[Any]:
+def base_environments(env: Any, wrapper: str) -> list[Any]:
     """The highway-env environments inside a Gymnasium environment or a VecEnv of one process, innermost.
 
     Raises
@@ -37,7 +37,7 @@ def base_environments(env: Any, door: str) -> list[Any]:
     """
     if not hasattr(env, "unwrapped") and not hasattr(env, "num_envs"):
         raise ConfigError(
-            f"{door} takes a Gymnasium environment or a VecEnv, got {type(env).__name__}; settings go to config="
+            f"{wrapper} takes a Gymnasium environment or a VecEnv, got {type(env).__name__}; settings go to config="
         )
     each = [env]
     if hasattr(env, "num_envs"):
@@ -45,20 +45,20 @@ def base_environments(env: Any, door: str) -> list[Any]:
         if not each:
             alone = 'observations alone: Shield(..., frames=False, perception="observation")'
             raise ConfigError(
-                f"{type(env).__name__} keeps its environments in other processes, where {door} cannot read "
+                f"{type(env).__name__} keeps its environments in other processes, where {wrapper} cannot read "
                 "the scene; put the shield inside, SubprocVecEnv([lambda: ShieldedEnv(gym.make(...))])"
                 f"{f', or read {alone}' if is_known(env) else ''}"
             )
     for one in each:
-        _refuse_shielded(one, door)
-        _refuse_changed_actions(one, door)
+        _refuse_shielded(one, wrapper)
+        _refuse_changed_actions(one, wrapper)
     bases = [one.unwrapped for one in each]
     for base in bases:
         if not has_road_and_vehicles(base):
             raise ConfigError(
-                f"{type(base).__name__} is not a highway-env environment: it has no road and vehicles. {door} is for "
-                "highways, racetracks, merges, exits, roundabouts, two-way roads, u-turns, intersections, lane keeping "
-                "and parking lots, and for environments made as these are"
+                f"{type(base).__name__} is not a highway-env environment: it has no road and vehicles. {wrapper} is "
+                "for highways, racetracks, merges, exits, roundabouts, two-way roads, u-turns, intersections, lane "
+                "keeping and parking lots, and for environments made as these are"
             )
         frames, decisions = (base.config.get(f"{name}_frequency", 1) for name in ("simulation", "policy"))
         if frames < decisions:
@@ -178,7 +178,7 @@ def _same(given: Any, executed: Any) -> bool:
         return True
 
 
-def _refuse_changed_actions(env: Any, door: str) -> None:
+def _refuse_changed_actions(env: Any, wrapper: str) -> None:
     """Check that no wrapper changes the actions, which would invalidate the verification.
 
     Raises
@@ -190,12 +190,12 @@ def _refuse_changed_actions(env: Any, door: str) -> None:
         if isinstance(one, gym.ActionWrapper):
             kind = type(one).__name__
             raise ConfigError(
-                f"{kind} changes the actions, and what was verified would not be what is executed; {door} takes the "
+                f"{kind} changes the actions, and what was verified would not be what is executed; {wrapper} takes the "
                 f"environment without it. Put it around a ShieldedEnv: {kind}(ShieldedEnv(gym.make(...)), ...)"
             )
 
 
-def _refuse_shielded(env: Any, door: str) -> None:
+def _refuse_shielded(env: Any, wrapper: str) -> None:
     """Check that there is no shield inside.
 
     Raises
@@ -204,7 +204,9 @@ def _refuse_shielded(env: Any, door: str) -> None:
         If one of the wrappers is a `ShieldedEnv`.
     """
     if any(type(one).__name__ == "ShieldedEnv" for one in _layers(env)):
-        raise ConfigError(f"this environment is a ShieldedEnv already: {door} around it would filter what was filtered")
+        raise ConfigError(
+            f"this environment is a ShieldedEnv already: {wrapper} around it would filter what was filtered"
+        )
 
 
 def refuse_parking_lots(bases: list[Any]) -> None:

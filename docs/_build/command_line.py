@@ -32,7 +32,7 @@ def _below(name: str, command: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _section(name: str, command: Any) -> list[str]:
-    rows = [f"| {_spelling(each)} | {_default(each)} | {_cell(each.help)} |" for each in command.params]
+    rows = [f"| {_spelling(each)} | {_default(each)} | {_cell(each.help)} |" for each in command.params if not getattr(each, "hidden", False)]
     table = ["| argument or option | default | meaning |", "| :-- | :-- | :-- |", *rows, ""] if rows else []
     return [f"### {name}", "", _cell(command.help), "", *table]
 

@@ -47,7 +47,7 @@ _out, _err = Console(), Console(stderr=True, highlight=False)
 
 
 class Placement(StrEnum):
-    """Value of `--door`."""
+    """Value of `--placement`."""
 
     ENV = "env"
     POLICY = "policy"
@@ -79,13 +79,14 @@ class EvaluateOptions:
             " By default none and full; none alone if the road is not supported."
         ),
     ] = None
-    door: Annotated[
+    placement: Annotated[
         Placement,
         typer.Option(
             help="env: ShieldedEnv, around the environment; policy: Shield, around the policy;"
             " actions: Shield that chooses actions without supervision of frames; all: each of them."
         ),
     ] = Placement.ENV
+    door: Annotated[Placement | None, typer.Option(hidden=True, help="The former name of --placement.")] = None
     perception: Annotated[
         str,
         typer.Option(
@@ -112,7 +113,7 @@ class EvaluateOptions:
     model: Annotated[
         str,
         typer.Option(
-            help=f"Dynamics model of mpc, and of the predictive filter of the shield at door env: {', '.join(MODELS)},"
+            help=f"Dynamics model of mpc, and of the predictive filter at placement env: {', '.join(MODELS)},"
             " or a folder of `shield dynamics fit --setting`. The shield always verifies with the bicycle."
         ),
     ] = MODELS[0]
@@ -192,6 +193,10 @@ def evaluate_command(options: EvaluateOptions) -> None:
 
 def _experiment(options: EvaluateOptions) -> Experiment:
     """The experiment that the options describe. All options are checked before slow imports."""
+    placement = options.placement
+    if options.door is not None:
+        _err.print("--door is deprecated: write --placement")
+        placement = options.door
     # The demo's policy reads the demo's observations only, so other environments get a random policy.
     policies = read_policies(options.policy or [DEMO_POLICY if options.env_id is None else "random"])
     modes = None if options.shield is None else split(options.shield)
@@ -220,8 +225,8 @@ def _experiment(options: EvaluateOptions) -> Experiment:
         settings,
         modes,
         [each.value for each in Placement if each is not Placement.ALL]
-        if options.door is Placement.ALL
-        else [options.door.value],
+        if placement is Placement.ALL
+        else [placement.value],
         perceptions,
         sensors,
         episodes=options.episodes,

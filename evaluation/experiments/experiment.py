@@ -10,6 +10,7 @@ from typing import Any
 
 import pandas as pd
 
+from dynamics.deprecation import accept_former_fields, with_present_names
 from evaluation.experiments.inputs import as_file, name_of, origin_of, setting_given
 from evaluation.experiments.result import Result
 from evaluation.names import ENGINES, SIMULATORS, check_name, check_sensor, read_toml
@@ -27,6 +28,9 @@ from shield.wrappers.policy_adapters import as_policy
 
 __all__ = ["Experiment", "Stopped"]
 
+_FORMER = {"door": "placement"}
+"""Present names of attributes of `Experiment`, by the former name."""
+
 
 class Stopped(KeyboardInterrupt):
     """Signals an interrupted experiment; `result` has the episodes so far."""
@@ -36,6 +40,7 @@ class Stopped(KeyboardInterrupt):
         self.result = result
 
 
+@accept_former_fields(_FORMER)
 @dataclass(frozen=True)
 class Experiment:
     """Specification of an experiment, with one field for each option of `shield evaluate` and each key of a TOML file.
@@ -46,7 +51,7 @@ class Experiment:
         `predict`. One, a sequence, or a mapping from names in reports.
     env : environments: names of settings, Gymnasium ids, `Setting` objects, or environments made by `gym.make`.
     shield : modes of the shield; None for none and full.
-    door : one or more of "env", "policy", "actions", see `evaluation.running.records.PLACEMENTS`.
+    placement : one or more of "env", "policy", "actions", see `evaluation.running.records.PLACEMENTS`.
     perception : source of the shield's scenes.
     sensor : sensor of the policy.
     episodes : episodes of each row.
@@ -78,7 +83,7 @@ class Experiment:
     policy: Any = "random"
     env: Any = "highway-fast"
     shield: str | Sequence[str] | None = None
-    door: str | Sequence[str] = "env"
+    placement: str | Sequence[str] = "env"
     perception: str | Sequence[str] = PERCEPTIONS[0]
     sensor: str | Sequence[str] = "exact"
     episodes: int = 100
@@ -97,7 +102,7 @@ class Experiment:
     address: str | None = None
 
     def __post_init__(self) -> None:
-        for name, valid in (("shield", MODES), ("door", PLACEMENTS[1:]), ("perception", PERCEPTIONS)):
+        for name, valid in (("shield", MODES), ("placement", PLACEMENTS[1:]), ("perception", PERCEPTIONS)):
             for each in _several(getattr(self, name) or ()):
                 check_name(name, each, valid)
         for each in _several(self.sensor):
@@ -130,7 +135,7 @@ class Experiment:
         ConfigError
             If there is no such file, it is no TOML, or it has another key.
         """
-        keys = read_toml(path)
+        keys = with_present_names(read_toml(path), _FORMER, str(path))
         valid = [field.name for field in fields(cls)]
         for key in keys:
             check_name("key", key, valid)
@@ -228,6 +233,7 @@ class Experiment:
         ConfigError
             If there is no such attribute, or a value is not valid.
         """
+        options = with_present_names(options, _FORMER, "Experiment")
         for key in options:
             check_name("option", key, [field.name for field in fields(self)])
         return replace(self, **options)
@@ -237,7 +243,7 @@ class Experiment:
         config = self.config
         if isinstance(config, str | Path) and config not in ("simulated", "worst-case"):
             config = ShieldConfig.named(Path(config))
-        made = make_variants(modes, _several(self.door), config, _several(self.perception), setting)
+        made = make_variants(modes, _several(self.placement), config, _several(self.perception), setting)
         return [each for variant in made for each in variant.with_buffers(self._buffers)]
 
     @property

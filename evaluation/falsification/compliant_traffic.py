@@ -277,8 +277,8 @@ class CompliantEpisode:
 class _EpisodeMonitor:
     """Observes every frame of an episode: the ego's clearance, and the violations recorded by then."""
 
-    def __init__(self, base: Any, door: MetaActionFilter) -> None:
-        self._base, self._door, self._step = base, door, base.road.step
+    def __init__(self, base: Any, action_filter: MetaActionFilter) -> None:
+        self._base, self._action_filter, self._step = base, action_filter, base.road.step
         self.frames, self.clearance, self.crashed, self.over = 0, float("inf"), False, False
         self.named: dict[str, int] = {}
         base.road.step = self._watched
@@ -286,7 +286,7 @@ class _EpisodeMonitor:
     def look(self) -> None:
         """Read the violations that the monitor has recorded; the episode is over with the first."""
         if not self.over:
-            watch: Any = self._door.core.memory.watch
+            watch: Any = self._action_filter.core.memory.watch
             self.named = {rule.name or str(rule): n for rule, n in watch.by_rule.items()}
             self.over = bool(self.named) or self.crashed or self.clearance < 0
 
@@ -366,12 +366,12 @@ def drive_compliant(
 
 
 def _drive(env: ShieldedEnv, setting: Setting, seed: int, vehicles: int, decisions: int) -> CompliantEpisode:
-    door, base = env.door, env.unwrapped
-    if not isinstance(door, MetaActionFilter) or not door.supervising:
+    action_filter, base = env.filter, env.unwrapped
+    if not isinstance(action_filter, MetaActionFilter) or not action_filter.supervising:
         raise ConfigError(f"bold drivers need a straight highway with meta-actions and a shield, not {setting.name}")
     env.reset(seed=seed)
     install_highway_drivers(base, vehicles, seed)
-    actions, referee, started = np.random.default_rng([seed, 1_000_000]), _EpisodeMonitor(base, door), True
+    actions, referee, started = np.random.default_rng([seed, 1_000_000]), _EpisodeMonitor(base, action_filter), True
     labels = [str(base.action_type.actions[k]) for k in range(env.action_space.n)]  # type: ignore[attr-defined]
     often = np.array([_OFTEN.get(label, 1.0) for label in labels])
     for step in range(decisions):
@@ -383,7 +383,7 @@ def _drive(env: ShieldedEnv, setting: Setting, seed: int, vehicles: int, decisio
             break
     if not referee.over:
         # The monitor has not checked the last frame yet.
-        door.frame()
+        action_filter.frame()
         referee.look()
     return CompliantEpisode(seed, referee.frames, started, referee.clearance, referee.crashed, referee.named)
 

@@ -37,23 +37,35 @@ class FaultOracle:
     Parameters
     ----------
     base : the unwrapped environment; its road's `step` is replaced.
-    door : the filter on road networks; its `frame` is replaced.
+    network_filter : the filter on road networks; its `frame` is replaced.
     """
 
-    def __init__(self, base: Any, door: NetworkFilter) -> None:
-        self._base, self._door, self._step, self._ask = base, door, base.road.step, door.frame
+    def __init__(self, base: Any, network_filter: NetworkFilter) -> None:
+        self._base, self._network_filter, self._step, self._ask = (
+            base,
+            network_filter,
+            base.road.step,
+            network_filter.frame,
+        )
         self._near: list[tuple[Any, int, float, float]] = []
-        self._promised, self._crashes, self.frames, self.counted = False, door.by_rule.get(NetworkRule.CRASH, 0), 0, 0
+        self._promised, self._crashes, self.frames, self.counted = (
+            False,
+            network_filter.by_rule.get(NetworkRule.CRASH, 0),
+            0,
+            0,
+        )
         self.clearance, self.near, self.nearest_vehicle, self.when = np.inf, np.inf, -1, -1
         self.margin, self.shrunk = np.inf, 0
         base.road.step = self._watched
-        door.frame = self._asked  # type: ignore[method-assign]
+        network_filter.frame = self._asked  # type: ignore[method-assign]
 
     @property
     def over(self) -> bool:
         """Whether nothing that follows can count."""
         return (
-            bool(self._base.vehicle.crashed) or self.clearance < 0 or NetworkRule.UNFORESEEN in self._door.watch.by_rule
+            bool(self._base.vehicle.crashed)
+            or self.clearance < 0
+            or NetworkRule.UNFORESEEN in self._network_filter.watch.by_rule
         )
 
     def settle(self, named: set[Any]) -> None:
@@ -67,20 +79,20 @@ class FaultOracle:
         self._near = []
 
     def _asked(self) -> tuple[Any, Decision]:
-        before = self._door.watch.last
+        before = self._network_filter.watch.last
         command, decision = self._ask()
-        named = self._door.watch.culprits
+        named = self._network_filter.watch.culprits
         self.settle(named)
-        less = {body: now for body, (then, now) in self._door.kept.items() if now < then - _SHRINKS}
+        less = {body: now for body, (then, now) in self._network_filter.kept.items() if now < then - _SHRINKS}
         if less and before is not None and self._promised:
-            innocent = less.keys() - named - self._door.have_broken(less, before)
+            innocent = less.keys() - named - self._network_filter.have_broken(less, before)
             self.shrunk += bool(innocent)
             self.margin = min(self.margin, *(less[body] for body in innocent), np.inf)
-        crashes = self._door.by_rule.get(NetworkRule.CRASH, 0)
+        crashes = self._network_filter.by_rule.get(NetworkRule.CRASH, 0)
         # Two vehicles that have crashed slide, and push each other while they overlap. The monitor no longer counts
         # them as violators.
         pushed = any(body.crashed and body.impact is not None for body in self._base.road.vehicles)
-        disturbed = self._door.disturbed or crashes > self._crashes or pushed
+        disturbed = self._network_filter.disturbed or crashes > self._crashes or pushed
         if decision.tier.verified or disturbed:
             self._promised = decision.tier.verified
         self._crashes = crashes
@@ -90,7 +102,7 @@ class FaultOracle:
         base, ego = self._base, self._base.vehicle
         was_over = self.over
         sound = [(k, b) for k, b in enumerate(base.road.vehicles) if b is not ego and not b.crashed]
-        owing = {body for _, body in sound if self._door.is_owed_by(body)}
+        owing = {body for _, body in sound if self._network_filter.is_owed_by(body)}
         self._step(dt)
         self.frames += 1
         if was_over or not self._promised:
@@ -103,7 +115,7 @@ class FaultOracle:
             self._near.append((body, place, gap, _left(gap, *rows[[i, 0], 3]) if body in owing else gap))
         if ego.crashed:
             hit = {body for _, body in sound if body.crashed}
-            self.settle(self._door.culprits(hit) | self._door.watch.culprits)
+            self.settle(self._network_filter.culprits(hit) | self._network_filter.watch.culprits)
 
 
 def _row(body: Any) -> list[float]:

@@ -50,7 +50,12 @@ class UnconstrainedNetworkDriver(Vehicle):  # type: ignore[misc]
     """Unconstrained adversary: throttle and steering at random, each kept for some frames."""
 
     def take(
-        self, draw: RandomSource, turns: RandomSource, door: NetworkFilter, period: float, ways: LaneConnections
+        self,
+        draw: RandomSource,
+        turns: RandomSource,
+        network_filter: NetworkFilter,
+        period: float,
+        ways: LaneConnections,
     ) -> None:
         """Set the random generator of inputs; the other parameters are those of `CompliantNetworkDriver.take`."""
         self.draw, self.left, self.route = draw, 0, ()
@@ -74,12 +79,17 @@ class CompliantNetworkDriver(ControlledVehicle):  # type: ignore[misc]
     target_lane_index: Any
 
     def take(
-        self, draw: RandomSource, turns: RandomSource, door: NetworkFilter, period: float, ways: LaneConnections
+        self,
+        draw: RandomSource,
+        turns: RandomSource,
+        network_filter: NetworkFilter,
+        period: float,
+        ways: LaneConnections,
     ) -> None:
         """Set the random generators of inputs and of turns, the filter, the duration of a frame [s] and the lanes."""
         self.draw, self.left, self.held, self.period = draw, 0, 0.0, period
         self.turns, self.ways, self.until = turns, ways, -1.0
-        self.door, self.assumptions, self.route = door, door.config.assumptions, None
+        self.network_filter, self.assumptions, self.route = network_filter, network_filter.config.assumptions, None
 
     def act(self, action: Any = None) -> None:
         """Set throttle and steering for the coming frame; `action` is ignored."""
@@ -120,7 +130,7 @@ class CompliantNetworkDriver(ControlledVehicle):  # type: ignore[misc]
             way = speed * 2 * dt + (speed + rules.acceleration * dt) ** 2 / (2 * rules.braking)
             if gap < way - other * other / (2 * FAIL_SAFE):
                 held = -rules.braking
-        if self.door.counts_on(self):
+        if self.network_filter.counts_on(self):
             held = -rules.braking
         return float(max(held, -max(self.speed, 0.0) / dt))
 
@@ -150,7 +160,7 @@ def install_drivers(
     if drivers not in DRIVERS:
         raise ConfigError(f"unknown drivers {drivers!r}; have {', '.join(DRIVERS)}")
     base: Any = env.unwrapped
-    assert isinstance(env.door, NetworkFilter)
+    assert isinstance(env.filter, NetworkFilter)
     kinds: Sequence[type[Any]] = {
         "wild": (UnconstrainedNetworkDriver,),
         "bold": (CompliantNetworkDriver,),
@@ -158,7 +168,7 @@ def install_drivers(
     }[drivers]
     left, ways, period = (
         vehicles,
-        LaneConnections(env.door.ahead, env.door.over),
+        LaneConnections(env.filter.ahead, env.filter.over),
         1 / base.config["simulation_frequency"],
     )
     for k, body in enumerate(base.road.vehicles):
@@ -167,6 +177,6 @@ def install_drivers(
         driven = kinds[left % len(kinds)](body.road, body.position.copy(), body.heading, body.speed)
         draw = np.random.default_rng([seed, k])
         habits, turns = (draw, draw) if told is None else told[vehicles - left]
-        driven.take(habits, turns, env.door, period, ways)
+        driven.take(habits, turns, env.filter, period, ways)
         driven.crashed = body.crashed
         base.road.vehicles[k], left = driven, left - 1

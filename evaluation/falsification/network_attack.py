@@ -59,7 +59,7 @@ class Attack:
         return NetworkRule.UNFORESEEN in self.by_rule or self.blameless
 
 
-def record_blameless_crash(base: Any, door: NetworkFilter) -> list[bool]:
+def record_blameless_crash(base: Any, network_filter: NetworkFilter) -> list[bool]:
     """Observe an episode until the ego crashes, by replacing the road's `step` and the filter's `frame`.
 
     Returns
@@ -68,7 +68,7 @@ def record_blameless_crash(base: Any, door: NetworkFilter) -> list[bool]:
     """
     found: list[bool] = []
     wrecks: dict[Any, int] = {}
-    step, ego, frame, ask = base.road.step, base.vehicle, count(), door.frame
+    step, ego, frame, ask = base.road.step, base.vehicle, count(), network_filter.frame
     promised = False
 
     def asked() -> tuple[Any, Decision]:
@@ -89,10 +89,10 @@ def record_blameless_crash(base: Any, door: NetworkFilter) -> list[bool]:
             # A fresh wreck has slid into the way; an older one was visible before the decision.
             fresh = any(now - wrecks.get(body, -np.inf) <= _FRESH / dt for body in hit)
             # Without a verified decision since the reset there is no guarantee.
-            found.append(promised and not (fresh or door.disturbed or door.culprits(hit)))
+            found.append(promised and not (fresh or network_filter.disturbed or network_filter.culprits(hit)))
 
     base.road.step = watched
-    door.frame = asked  # type: ignore[method-assign]
+    network_filter.frame = asked  # type: ignore[method-assign]
     return found
 
 
@@ -122,21 +122,23 @@ def attack(
     """
     with one_thread():
         env = ShieldedEnv(setting.make(), config or WORST_CASE)
-        door = env.door
-        if not isinstance(door, NetworkFilter):
+        network_filter = env.filter
+        if not isinstance(network_filter, NetworkFilter):
             raise ConfigError(f"{setting.name} is no road network with meta-actions, which this attacks")
         base: Any = env.unwrapped
         env.reset(seed=seed)
         env.action_space.seed(seed)
         install_drivers(env, drivers, vehicles, seed)
-        blameless = record_blameless_crash(base, door)
+        blameless = record_blameless_crash(base, network_filter)
         each, frames = int(base.config["simulation_frequency"] // base.config["policy_frequency"]), 0
         for _ in range(decisions):
             *_, terminated, truncated, _ = env.step(env.action_space.sample())
             frames += each
             if terminated or truncated:
                 break
-        return Attack(setting.env_id, seed, drivers, frames, bool(base.vehicle.crashed), any(blameless), door.by_rule)
+        return Attack(
+            setting.env_id, seed, drivers, frames, bool(base.vehicle.crashed), any(blameless), network_filter.by_rule
+        )
 
 
 def attack_many(

@@ -203,12 +203,12 @@ def drive_numbers(
 
 def _drive(env: ShieldedEnv, setting: Setting, numbers: RoadNumbers, shares: FloatArray) -> RoadEpisode:
     base: Any = env.unwrapped
-    door, seed = env.door, numbers.seed(shares)
-    if not isinstance(door, NetworkFilter):
+    network_filter, seed = env.filter, numbers.seed(shares)
+    if not isinstance(network_filter, NetworkFilter):
         raise ConfigError(f"{setting.name} is no road network with meta-actions, which this attacks")
     env.reset(seed=seed)
     install_drivers(env, numbers.drivers, numbers.vehicles, seed, numbers.scripts(shares))
-    referee, ended = FaultOracle(base, door), False
+    referee, ended = FaultOracle(base, network_filter), False
     for share in shares[1 : 1 + numbers.decisions]:
         *_, terminated, truncated, _ = env.step(int(share * env.action_space.n))  # type: ignore[attr-defined]
         ended = bool(terminated or truncated)
@@ -216,7 +216,7 @@ def _drive(env: ShieldedEnv, setting: Setting, numbers: RoadNumbers, shares: Flo
             break
     if not referee.over:
         # The monitor has not checked the last frame yet.
-        door.frame()
+        network_filter.frame()
     return RoadEpisode(
         seed=seed,
         frames=referee.frames,
@@ -226,7 +226,7 @@ def _drive(env: ShieldedEnv, setting: Setting, numbers: RoadNumbers, shares: Flo
         shrunk=referee.shrunk,
         margin=float(referee.margin),
         crashed=bool(base.vehicle.crashed),
-        by_rule=door.by_rule,
+        by_rule=network_filter.by_rule,
         nearest_vehicle=referee.nearest_vehicle,
         when=referee.when,
     )

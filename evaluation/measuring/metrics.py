@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from dynamics.deprecation import warn_of_former_name
 from dynamics.state import FloatArray
 from evaluation.measuring.attribution import Cause
+from evaluation.measuring.columns import FORMER_COLUMNS, with_present_columns
 from evaluation.measuring.statistics import (
     Interval,
     bootstrap_mean,
@@ -27,7 +29,7 @@ from shield.errors import ConfigError
 
 __all__ = ["GROUP", "STOPPED", "compare", "latencies_of", "summarise"]
 
-GROUP = ["setting", "policy", "door", "mode"]
+GROUP = ["setting", "policy", "placement", "mode"]
 """Columns that identify a row of a summary."""
 
 STOPPED = 1.0
@@ -40,7 +42,7 @@ _REASONS = [f"reason_{reason.value}" for reason in Reason if reason is not Reaso
 
 
 def summarise(episodes: pd.DataFrame) -> pd.DataFrame:
-    """One row per setting, policy, `door` and mode, in the order in which they first appear.
+    """One row per setting, policy, `placement` and mode, in the order in which they first appear.
 
     Returns
     -------
@@ -67,7 +69,7 @@ def summarise(episodes: pd.DataFrame) -> pd.DataFrame:
     ConfigError
         If a column is missing, or a seed appears twice.
     """
-    _check(episodes)
+    episodes = _checked(episodes)
     rows = []
     for key, group in episodes.groupby(GROUP, sort=False):
         rows.append({**dict(zip(GROUP, key, strict=True)), **_summary(group)})
@@ -160,11 +162,11 @@ def compare(episodes: pd.DataFrame) -> pd.DataFrame:
     ConfigError
         If a column is missing, or a seed appears twice.
     """
-    _check(episodes)
+    episodes = _checked(episodes)
     rows = []
-    for key, group in episodes[episodes["door"] != "none"].groupby(GROUP, sort=False):
+    for key, group in episodes[episodes["placement"] != "none"].groupby(GROUP, sort=False):
         names = dict(zip(GROUP, key, strict=True))
-        bare = episodes[episodes["door"] == "none"]
+        bare = episodes[episodes["placement"] == "none"]
         for column in _PAIR:
             bare = bare[bare[column] == names[column]]
         pairs = group.merge(bare, on="seed", suffixes=("", "_bare"))
@@ -198,9 +200,14 @@ def _columns(name: str, interval: Interval) -> dict[str, float]:
     return {name: interval.estimate, f"{name}_low": interval.low, f"{name}_high": interval.high}
 
 
-def _check(episodes: pd.DataFrame) -> None:
+def _checked(episodes: pd.DataFrame) -> pd.DataFrame:
+    """The table with the present names of its columns; raises `ConfigError` if it is no table of episodes."""
+    for former in FORMER_COLUMNS.keys() & set(episodes.columns):
+        warn_of_former_name(f"the column {former!r}", f"rename it to {FORMER_COLUMNS[former]!r}", stacklevel=4)
+    episodes = with_present_columns(episodes)
     missing = sorted({*GROUP, "seed", "crashed", "off_road", "return"} - set(episodes.columns))
     if missing:
         raise ConfigError(f"this is not a table of episodes: column {missing[0]!r} is missing")
     if episodes.duplicated([*GROUP, "seed"]).any():
-        raise ConfigError("the same seed appears twice under one setting, policy, door and mode")
+        raise ConfigError("the same seed appears twice under one setting, policy, placement and mode")
+    return episodes

@@ -94,9 +94,9 @@ class _ReplayRecorder:
         self._column: dict[Any, int] = {}
 
     @property
-    def door(self) -> Any:
+    def filter(self) -> Any:
         """The filter of the actions."""
-        return self.shielded.door if isinstance(self.shielded, ShieldedEnv) else self.shielded.doors[0]
+        return self.shielded.filter if isinstance(self.shielded, ShieldedEnv) else self.shielded.filters[0]
 
     def before(self, number: int) -> None:
         """Prepare for the execution of a decision: start its frames, and copy the environment if it may be needed."""
@@ -138,8 +138,8 @@ class _ReplayRecorder:
         def step(dt: float) -> None:
             action = self.base.vehicle.action
             self._inputs.append((float(action["acceleration"]), float(action["steering"])))
-            if isinstance(self.door, NetworkFilter) and not self.door.cause:
-                self._foreseen.append(self.door.foreseen)
+            if isinstance(self.filter, NetworkFilter) and not self.filter.cause:
+                self._foreseen.append(self.filter.foreseen)
             self._frames += 1
             inner(dt)
 
@@ -185,10 +185,10 @@ def _replay(watch: _ReplayRecorder, record: EpisodeRecord) -> Replay:
     base, config = watch.base, watch.shielded.config
     world, columns = watch.driver.recorder.world(), watch.driver.recorder.columns
     dt, straight = 1.0 / base.config["simulation_frequency"], read_road(base.road.network)
-    in_world = config.simulates or isinstance(watch.door, NetworkFilter)
+    in_world = config.simulates or isinstance(watch.filter, NetworkFilter)
     road = WorldFrame() if in_world or straight is None else straight
     name, meta = _namer(base)
-    geometry = RoadGeometry.of(base) if isinstance(watch.door, NetworkFilter) else None
+    geometry = RoadGeometry.of(base) if isinstance(watch.filter, NetworkFilter) else None
     return Replay(
         about={**_about(watch, record), "actions": "meta-actions" if meta else "inputs"},
         buffer=(config.buffer.longitudinal, config.buffer.lateral),

@@ -86,16 +86,16 @@ def episode_of(run: str | Path, number: int, policy: str | None = None) -> Recor
     if not 0 <= number < len(rows):
         raise ConfigError(f"{path.name} has the episodes 0 to {len(rows) - 1}, not {number}")
     row, asked = rows[number], made.get("asked")
-    if row.get("door") == "none":
+    if row.get("placement") == "none":
         raise ConfigError(f"episode {number} of {path.name} was driven without a shield; {_shielded(rows)}")
     if not isinstance(asked, Mapping) or "shields" not in asked:
         raise ConfigError(f"{path.name} does not say how it was made; replay the seed {row['seed']} instead")
     name, _, sensor = row["setting"].partition(", ")
     setting = _setting(name, asked["settings"])
-    if "door" in row:
-        door, _, perception = row["door"].partition(", ")
-        config = _config(asked["shields"][f"{name}, {row['door']}, {row['mode']}"])
-        variant = ShieldVariant(door, config, perception or "simulator", row["mode"].partition(", ")[2])
+    if "placement" in row:
+        placement, _, perception = row["placement"].partition(", ")
+        config = _config(asked["shields"][f"{name}, {row['placement']}, {row['mode']}"])
+        variant = ShieldVariant(placement, config, perception or "simulator", row["mode"].partition(", ")[2])
     else:
         variant = variant_for(_config(asked["shields"]), setting)
     chosen = _policy(row["policy"], policy, asked["policies"])
@@ -151,7 +151,7 @@ def _config(shield: Mapping[str, Any]) -> ShieldConfig:
 
 def _shielded(rows: list[dict[str, Any]]) -> str:
     """Text about the rows that can be replayed."""
-    numbers = [k for k, row in enumerate(rows) if row.get("door") != "none"]
+    numbers = [k for k, row in enumerate(rows) if row.get("placement") != "none"]
     return f"with one were {numbers[0]} to {numbers[-1]}" if numbers else "none has one"
 
 

@@ -37,7 +37,7 @@ class Camera:
         self._viewer: Any = self._base.viewer
         self._viewer.enabled = True  # highway-env draws nothing under SDL's dummy driver otherwise
         self._road: Road | WorldFrame = read_road(self._base.road.network) or WorldFrame()
-        in_world = env.config.simulates or isinstance(env.door, NetworkFilter)
+        in_world = env.config.simulates or isinstance(env.filter, NetworkFilter)
         self._frame: Road | WorldFrame = WorldFrame() if in_world else self._road
         self._viewer.observer_vehicle = SimpleNamespace(position=np.zeros(2))
         self._dt = 1.0 / self._base.config["simulation_frequency"]
@@ -73,7 +73,7 @@ class Camera:
                 "speed": float(ego.speed),
                 "size": (float(ego.LENGTH), float(ego.WIDTH)),
                 "time": self._frames * self._dt,
-                "areas": self._areas.now(self._env.door),
+                "areas": self._areas.now(self._env.filter),
             }
         )
 

@@ -109,19 +109,19 @@ def _table(frame: pd.DataFrame, columns: Sequence[Column]) -> dict[str, Any]:
     return {
         "headings": headings,
         "rows": rows,
-        "shielded": [door != "none" for door in frame["door"]],
+        "shielded": [placement != "none" for placement in frame["placement"]],
     }
 
 
 def _shielded(episodes: pd.DataFrame, count: int = 0) -> pd.DataFrame:
     """The worst shielded episodes: those of the list, and at least `count`."""
-    return worst_first(episodes[episodes["door"] != "none"]).head(max(_WORST, count))
+    return worst_first(episodes[episodes["placement"] != "none"]).head(max(_WORST, count))
 
 
 def _worst(episodes: pd.DataFrame, links: Mapping[int, ReplayLink]) -> list[dict[str, Any]]:
     """The worst episodes, crashes first and then by least gap; shielded ones before the others."""
     found = []
-    bare = worst_first(episodes[episodes["door"] == "none"]).head(_WORST_BARE)
+    bare = worst_first(episodes[episodes["placement"] == "none"]).head(_WORST_BARE)
     for number, row in pd.concat([_shielded(episodes), bare]).iterrows():
         link = links.get(int(str(number)), ReplayLink())
         found.append(
@@ -147,15 +147,17 @@ def _charts(runs: Mapping[str, pd.DataFrame]) -> list[dict[str, str]]:
     together = pd.concat([frame.assign(run=name) for name, frame in runs.items()], ignore_index=True)
     for setting, part in together.groupby("setting", sort=False):
         marks, gaps, times, margins, costs = [], [], [], [], []
-        for kind, (key, group) in enumerate(part.groupby(["run", "policy", "door", "mode"], sort=False)):
-            run, policy, door, mode = key
-            label = f"{policy}, {'no shield' if door == 'none' else f'{mode} ({door})'}" + (f", {run}" * several)
+        for kind, (key, group) in enumerate(part.groupby(["run", "policy", "placement", "mode"], sort=False)):
+            run, policy, placement, mode = key
+            label = f"{policy}, {'no shield' if placement == 'none' else f'{mode} ({placement})'}" + (
+                f", {run}" * several
+            )
             row = summarise(group).iloc[0]
             crash = tuple(100 * float(row[f"crash_rate{end}"]) for end in ("", "_low", "_high"))
             returns = tuple(float(row[f"return{end}"]) for end in ("", "_low", "_high"))
             marks.append(Mark(label, kind, crash, returns))  # type: ignore[arg-type]
             gaps.append(Mark(label, kind, tuple(np.quantile(group["min_gap"], _TIMES).tolist())))
-            if door != "none" and group.get("min_time_to_collision", nothing).notna().any():
+            if placement != "none" and group.get("min_time_to_collision", nothing).notna().any():
                 times_left = tuple(np.nanquantile(group["min_time_to_collision"].astype(float), _TIMES).tolist())
                 costs.append(Mark(label, kind, (100 * float(row["override_rate"]), nan, nan), times_left))
             if group["min_margin"].notna().any():

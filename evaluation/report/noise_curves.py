@@ -78,7 +78,7 @@ def _against_noise(episodes: pd.DataFrame) -> pd.DataFrame:
         policy = str(row["policy"])
         if sensors[policy] == 1:
             policy = policy.removesuffix(f"-{sensor or _EXACT}")
-        shield = "no shield" if row["door"] == "none" else f"{row['mode']} at {row['door']}"
+        shield = "no shield" if row["placement"] == "none" else f"{row['mode']} at {row['placement']}"
         rows.append(
             {
                 "line": f"{setting}, {policy}, {shield}",

@@ -153,7 +153,7 @@ def _inside(env: Any) -> ShieldedEnv:
 
 def _filters(shield: Shield | ShieldedEnv) -> Any:
     """The filter of the environment's actions."""
-    return shield.door if isinstance(shield, ShieldedEnv) else shield.doors[0]
+    return shield.filter if isinstance(shield, ShieldedEnv) else shield.filters[0]
 
 
 def _frames(shield: Shield | ShieldedEnv) -> list[Decision]:

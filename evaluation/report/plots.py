@@ -102,12 +102,12 @@ def save_plot(figure: Any, path: Path, dpi: int = 150) -> Path:
 def _names(summary: pd.DataFrame) -> list[str]:
     """A label for each row: the names in which the rows differ, and the shield."""
     varying = [column for column in GROUP[:2] if summary[column].nunique() > 1]
-    doors = summary.loc[summary["door"] != "none", "door"].nunique() > 1
+    placements = summary.loc[summary["placement"] != "none", "placement"].nunique() > 1
     labels = []
     for row in summary.to_dict("records"):
-        shield = "no shield" if row["door"] == "none" else f"shield {row['mode']}"
-        if doors and row["door"] != "none":
-            shield += f" ({row['door']})"
+        shield = "no shield" if row["placement"] == "none" else f"shield {row['mode']}"
+        if placements and row["placement"] != "none":
+            shield += f" ({row['placement']})"
         labels.append(", ".join([*(str(row[column]) for column in varying), shield]))
     return labels
 

@@ -35,8 +35,8 @@ class ReachableAreas:
 
         Parameters
         ----------
-        filters : the filter, such as `ShieldedEnv.door`. The result is empty if it is no `NetworkFilter`, or could not
-            read its scene.
+        filters : the filter, such as `ShieldedEnv.filter`. The result is empty if it is no `NetworkFilter`, or
+            could not read its scene.
         """
         if not isinstance(filters, NetworkFilter) or filters.cause:
             return ()

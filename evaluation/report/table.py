@@ -17,6 +17,7 @@ import pyarrow as pa
 from rich.markup import escape
 from rich.table import Table
 
+from evaluation.measuring.columns import with_present_columns
 from evaluation.names import TABLE_ENDINGS
 from evaluation.running.store_rows import is_store, plain_rows, read_store
 from shield.decision import Verification
@@ -52,7 +53,7 @@ def _number(value: Any, digits: int) -> str:
 
 
 def _name(row: _Row) -> str:
-    return "none" if row["door"] == "none" else f"{row['mode']} ({row['door']})"
+    return "none" if row["placement"] == "none" else f"{row['mode']} ({row['placement']})"
 
 
 def _plain(heading: str, key: str, digits: int = 1) -> Column:
@@ -263,8 +264,8 @@ def finished(path: str | Path) -> tuple[dict[str, Any], list[dict[str, Any]]] | 
 
 def _read(path: Path) -> pd.DataFrame:
     if path.suffix == ".parquet":
-        return pd.read_parquet(path)
-    frame = pd.read_csv(path, keep_default_na=False, na_values=[""])
+        return with_present_columns(pd.read_parquet(path))
+    frame = with_present_columns(pd.read_csv(path, keep_default_na=False, na_values=[""]))
     if "latencies_ms" in frame:
         frame["latencies_ms"] = [json.loads(text) for text in frame["latencies_ms"]]
     return frame

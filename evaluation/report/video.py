@@ -175,7 +175,7 @@ def _overridden(setting: Setting, policy: str, seed: int) -> tuple[list[bool], i
         while not done:
             done = decide()
             assert env.last_decision is not None
-            done_to_it, roads = env.last_decision.intervention, isinstance(env.door, NetworkFilter)
+            done_to_it, roads = env.last_decision.intervention, isinstance(env.filter, NetworkFilter)
             flags.append(done_to_it is Intervention.OTHER_ACTION or (roads and done_to_it is Intervention.HELD_BACK))
         return flags, _rate(env)
 

@@ -144,7 +144,7 @@ def _find(env_id: str, config: ShieldConfig, seed: int) -> _View:
     """
     env: Any = ShieldedEnv(setting_of(env_id).make(), config)
     base: Any = env.unwrapped
-    if not isinstance(env.door, NetworkFilter):
+    if not isinstance(env.filter, NetworkFilter):
         raise ConfigError(f"the worst case is drawn on networks of roads with meta-actions, not of {env_id}; {_HAVE}")
     best: tuple[tuple[bool, int, bool], _View] | None = None
     for each in range(seed, seed + _EPISODES):
@@ -152,11 +152,11 @@ def _find(env_id: str, config: ShieldConfig, seed: int) -> _View:
         done = False
         while not done:
             actions = base.action_type.actions_indexes
-            door = NetworkFilter(base, config)
-            decision = door.decide(actions[_ACTION])
+            network_filter = NetworkFilter(base, config)
+            decision = network_filter.decide(actions[_ACTION])
             # An unverified decision has no reachable lane intervals.
             if decision.tier.verified:
-                view = _view(env_id, base, decision, door.foreseen)
+                view = _view(env_id, base, decision, network_filter.foreseen)
                 score = view.waits, len(view.vehicles), decision.overridden
                 if best is None or score > best[0]:
                     best = score, view

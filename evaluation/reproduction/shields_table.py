@@ -162,7 +162,7 @@ def _interval(row: Mapping[str, Any], key: str, factor: float = 1.0) -> str:
 
 def _milliseconds(row: Mapping[str, Any]) -> str:
     p50, p99 = row["latency_p50_ms"], row["latency_p99_ms"]
-    return f"{p50:.1f}, {p99:.1f}" if isfinite(p50) and row["door"] != "none" else "–"
+    return f"{p50:.1f}, {p99:.1f}" if isfinite(p50) and row["placement"] != "none" else "–"
 
 
 _COLUMNS = (
@@ -174,7 +174,7 @@ _COLUMNS = (
     Column("off road %", lambda row: f"{100 * row['off_road_rate']:.1f}"),
     Column("return", lambda row: _interval(row, "return")),
     Column("speed m/s", lambda row: f"{row['mean_speed']:.1f}"),
-    Column("overridden %", lambda row: "–" if row["door"] == "none" else f"{100 * row['override_rate']:.1f}"),
+    Column("overridden %", lambda row: "–" if row["placement"] == "none" else f"{100 * row['override_rate']:.1f}"),
     Column("ms p50, p99", _milliseconds),
 )
 

@@ -156,7 +156,7 @@ def certify(asked: CertifyRun, folder: str | Path, jobs: int = 1, progress: Any 
             progress(frame)
     whole = pd.concat([parts.read(_name(*part)) for part in asked.parts()], ignore_index=True)
     # Parts of an older version lack some columns.
-    whole["door"] = asked.variant.place
+    whole["placement"] = asked.variant.place
     whole = whole if "rules" in whole else whole.assign(rules=None)
     whole.attrs["made"] = parts.manifest
     return whole
@@ -241,7 +241,7 @@ def _drive(asked: CertifyRun, folder: Path, files: str, first: int, count: int) 
     else:
         table = run_paired(asked.setting, asked.policy, [asked.variant], seeds, simulator=asked.simulator)
         frame = table[list(COLUMNS)].assign(fallbacks=table[FALLBACKS].sum(axis=1))
-    frame.insert(2, "door", asked.variant.place)
+    frame.insert(2, "placement", asked.variant.place)
     check_files(asked.policy, None, files)
     Parts(folder).write(_name(first, count), frame)
     return frame

@@ -57,9 +57,9 @@ class Driver:
 
     Attributes
     ----------
-    env : the environment, as a `ShieldedEnv` for `door` "env".
+    env : the environment, as a `ShieldedEnv` for `placement` "env".
     policy : the policy without a shield.
-    driver : the policy that drives, as a `Shield` for `door` "policy" and "actions".
+    driver : the policy that drives, as a `Shield` for `placement` "policy" and "actions".
     recorder, log : records of the last episode.
     """
 
@@ -76,12 +76,12 @@ class Driver:
         refuse_misfits(self.policy, self.env)
         self.driver: Policy = self.policy
         self.shield: Shield | None = None
-        if variant.door == "env":
+        if variant.placement == "env":
             self.env = ShieldedEnv(
                 self.env, variant.config, policy=self.policy, model=learned, perception=variant.perception
             )
-        elif variant.door in ("policy", "actions"):
-            frames = variant.door == "policy"
+        elif variant.placement in ("policy", "actions"):
+            frames = variant.placement == "policy"
             self.shield = Shield(self.policy, self.env, variant.config, frames, variant.perception)
             self.driver = self.shield
         self._taken: tuple[Any, Any] = (None, None)
@@ -91,7 +91,7 @@ class Driver:
     @property
     def verification(self) -> Verification:
         """What actions are verified against."""
-        if self.variant.door == "none":
+        if self.variant.placement == "none":
             return Verification.OFF
         shielded = self.env if self.shield is None else self.shield
         assert isinstance(shielded, ShieldedEnv | Shield)
@@ -127,7 +127,7 @@ class Driver:
         return EpisodeRecord(
             setting=self.setting.name,
             policy=self.label,
-            door=self.variant.place,
+            placement=self.variant.place,
             mode=self.variant.mode,
             seed=seed,
             crashed=history.crash_frame is not None,
@@ -149,11 +149,11 @@ class Driver:
             min_gap=history.min_gap(),
             min_time_to_collision=history.min_time_to_collision(),
             min_headway=history.min_headway(),
-            latencies=tuple(tally.latencies) if self.variant.door != "none" else (),
+            latencies=tuple(tally.latencies) if self.variant.placement != "none" else (),
             simulator=self.simulator,
             rules=dict(tally.rules),
             verification=self.verification.value,
-            **self.log.columns(history, self.variant.door != "none"),
+            **self.log.columns(history, self.variant.placement != "none"),
             **arrival(info, self.env, history),
         )
 
@@ -188,7 +188,7 @@ class Driver:
             done = bool(terminated or truncated)
 
     def _shield_info(self, info: Mapping[str, Any]) -> Mapping[str, Any]:
-        if self.variant.door == "none":
+        if self.variant.placement == "none":
             return {**UNSHIELDED, "latency_ms": 0.0}
         if self.shield is not None:
             return {**self.shield.report(), "latency_ms": 1e3 * self.shield.latency}

@@ -120,8 +120,8 @@ def run_paired(
         raise ConfigError(f"nothing to run: {len(variants)} variants, {len(seeds)} episodes")
     if jobs == 0:
         raise ConfigError("jobs must be at least 1, or -1 for one per core")
-    if model not in (None, "bicycle") and policy != "mpc" and not any(v.door == "env" for v in variants):
-        raise ConfigError("a model is for mpc and for the shield's door env; none of the two drives here")
+    if model not in (None, "bicycle") and policy != "mpc" and not any(v.placement == "env" for v in variants):
+        raise ConfigError("a model is for mpc and for the shield's placement env; none of the two drives here")
     specs = [DriverSpec(setting, policy, variant, algorithm, model, simulator, sensor) for variant in variants]
     return _run_specs(specs, seeds, Processes(jobs) if run.engine is None else run.engine, run)
 
@@ -151,13 +151,13 @@ def _run_specs(specs: Sequence[DriverSpec], seeds: Sequence[int], engine: Engine
             progress.add(part)
     order = {(each.variant.place, each.variant.mode): i for i, each in enumerate(specs)}
     place = {seed: i for i, seed in enumerate(seeds)}
-    rows.sort(key=lambda row: (order[row["door"], row["mode"]], place[row["seed"]]))
+    rows.sort(key=lambda row: (order[row["placement"], row["mode"]], place[row["seed"]]))
     return pd.DataFrame(rows)
 
 
 def _key(row: dict[str, Any]) -> tuple[str, str, int]:
-    """Columns `door`, `mode` and `seed` of a row."""
-    return row["door"], row["mode"], row["seed"]
+    """Columns `placement`, `mode` and `seed` of a row."""
+    return row["placement"], row["mode"], row["seed"]
 
 
 def _stored_rows(specs: Sequence[DriverSpec], seeds: Sequence[int], store: Store) -> list[dict[str, Any]]:

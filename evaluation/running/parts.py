@@ -11,6 +11,7 @@ from typing import Any
 import pandas as pd
 
 from dynamics.errors import ConfigError, DataError
+from evaluation.measuring.columns import with_present_columns
 
 __all__ = ["MANIFEST", "PARTS", "Parts", "replace_file"]
 
@@ -72,7 +73,7 @@ class Parts:
 
     def read(self, name: str) -> pd.DataFrame:
         """Read a part, with its `attrs`."""
-        return pd.read_parquet(self._path(name))
+        return with_present_columns(pd.read_parquet(self._path(name)))
 
     def record(self, name: str) -> dict[str, Any] | None:
         """Origin of a part (see `write`); None if the part has none or does not exist."""

@@ -59,7 +59,7 @@ class EpisodeProgress:
 
     def _count(self, rows: Iterable[Mapping[str, Any]]) -> None:
         for row in rows:
-            name = "no shield" if row["door"] == "none" else f"{row['mode']} at {row['door']}"
+            name = "no shield" if row["placement"] == "none" else f"{row['mode']} at {row['placement']}"
             counted = self._counts.setdefault(name, [0, 0])
             counted[0] += bool(row["crashed"])
             counted[1] += 1

@@ -8,6 +8,7 @@ from typing import Any
 
 from highway_env.envs.common.action import ContinuousAction
 
+from dynamics.deprecation import accept_former_fields, accept_former_keywords
 from evaluation.settings import Setting
 from shield.config import PERCEPTIONS, ShieldConfig
 from shield.decision import Reason, Tier, Verification
@@ -17,41 +18,43 @@ from shield.wrappers.defaults import Given, SettingsContext, choose_settings
 __all__ = ["PLACEMENTS", "EpisodeRecord", "ShieldVariant", "config_on", "make_variants", "rules_text", "variant_for"]
 
 PLACEMENTS = ("none", "env", "policy", "actions")
-"""Values of `ShieldVariant.door`: no shield; `ShieldedEnv`; `Shield`; `Shield` with `frames=False`, without frames."""
+"""Values of `ShieldVariant.placement`: no shield; `ShieldedEnv`; `Shield`; `Shield` with `frames=False`, which verifies
+no frames between decisions."""
 
 
+@accept_former_fields({"door": "placement"})
 @dataclass(frozen=True, slots=True)
 class ShieldVariant:
     """The shield between the policy and the environment.
 
     Attributes
     ----------
-    door : one of `PLACEMENTS`.
+    placement : one of `PLACEMENTS`.
     config : the shield's settings; ignored without a shield.
     perception : source of the shield's scenes, one of `shield.config.PERCEPTIONS`.
     note : distinguishes variants of the same mode, such as "buffer 4 m".
     """
 
-    door: str = "none"
+    placement: str = "none"
     config: ShieldConfig = field(default_factory=ShieldConfig)
     perception: str = "simulator"
     note: str = ""
 
     def __post_init__(self) -> None:
-        if self.door not in PLACEMENTS:
-            raise ConfigError(f"unknown door {self.door!r}; valid are {', '.join(PLACEMENTS)}")
+        if self.placement not in PLACEMENTS:
+            raise ConfigError(f"unknown placement {self.placement!r}; valid are {', '.join(PLACEMENTS)}")
         if self.perception not in PERCEPTIONS:
             raise ConfigError(f"unknown perception {self.perception!r}; valid are {', '.join(PERCEPTIONS)}")
 
     @property
     def place(self) -> str:
-        """`door`, followed by the perception unless that is the simulator's state: "env, observation"."""
-        return self.door if self.perception == "simulator" else f"{self.door}, {self.perception}"
+        """`placement`, followed by the perception unless that is the simulator's state: "env, observation"."""
+        return self.placement if self.perception == "simulator" else f"{self.placement}, {self.perception}"
 
     @property
     def mode(self) -> str:
         """The shield's mode and the note; "none" without a shield."""
-        if self.door == "none":
+        if self.placement == "none":
             return "none"
         return f"{self.config.mode}, {self.note}" if self.note else self.config.mode
 
@@ -63,7 +66,7 @@ class ShieldVariant:
         >>> [each.mode for each in ShieldVariant("env").with_buffers([1, 2.5])]
         ['full, buffer 1 m', 'full, buffer 2.5 m']
         """
-        if self.door == "none" or not lengths:
+        if self.placement == "none" or not lengths:
             return [self]
         notes = [", ".join(filter(None, (self.note, f"buffer {length:g} m"))) for length in lengths]
         configs = [
@@ -98,14 +101,15 @@ def _decides_inputs(setting: Setting) -> bool:
         env.close()
 
 
-def config_on(setting: Setting, given: Given = None, door: str = "env", observes: bool = False) -> ShieldConfig:
+@accept_former_keywords({"door": "placement"})
+def config_on(setting: Setting, given: Given = None, placement: str = "env", observes: bool = False) -> ShieldConfig:
     """The settings of a shield in an environment.
 
     Parameters
     ----------
     setting : the environment.
     given : settings, "simulated" or "worst-case"; None for the shield's default.
-    door : one of `PLACEMENTS`.
+    placement : one of `PLACEMENTS`.
     observes : whether scenes come from observations.
     """
     env = setting.make()
@@ -114,24 +118,25 @@ def config_on(setting: Setting, given: Given = None, door: str = "env", observes
         if base.road is None:
             env.reset(seed=0)
         inputs = isinstance(base.action_type, ContinuousAction)
-        return choose_settings(given, SettingsContext(base, inputs, door != "actions", observes)).config
+        return choose_settings(given, SettingsContext(base, inputs, placement != "actions", observes)).config
     finally:
         env.close()
 
 
+@accept_former_keywords({"doors": "placements"})
 def make_variants(
     modes: Sequence[str],
-    doors: Sequence[str],
+    placements: Sequence[str],
     config: Given = None,
     perceptions: Sequence[str] = ("simulator",),
     setting: Setting | None = None,
 ) -> list[ShieldVariant]:
-    """Make the variants of each mode, `door` and perception; the mode "none" is one variant without a shield.
+    """Make the variants of each mode, `placement` and perception; the mode "none" is one variant without a shield.
 
     Parameters
     ----------
     modes : shield modes.
-    doors : values from `PLACEMENTS`.
+    placements : values from `PLACEMENTS`.
     config : settings, "simulated" or "worst-case"; by default those that the shield chooses in the environment of
         `setting`, or without one on a straight highway.
     perceptions : values from `shield.config.PERCEPTIONS`.
@@ -139,20 +144,22 @@ def make_variants(
 
     Examples
     --------
-    >>> [(v.door, v.mode) for v in make_variants(["none", "full"], ["env", "policy"])]
+    >>> [(v.placement, v.mode) for v in make_variants(["none", "full"], ["env", "policy"])]
     [('none', 'none'), ('env', 'full'), ('policy', 'full')]
     """
     variants: list[ShieldVariant] = []
     for mode in modes:
-        for door in ["none"] if mode == "none" else doors:
+        for placement in ["none"] if mode == "none" else placements:
             for perception in ["simulator"] if mode == "none" else perceptions:
                 observes = perception != "simulator"
                 if isinstance(config, ShieldConfig) or setting is None or mode != "full":
-                    simple = ShieldConfig.for_meta_actions() if door == "actions" else ShieldConfig()
+                    simple = ShieldConfig.for_meta_actions() if placement == "actions" else ShieldConfig()
                     chosen = config if isinstance(config, ShieldConfig) else simple
                 else:
-                    chosen = config_on(setting, config, door, observes)
-                variant = ShieldVariant(door, chosen if door == "none" else chosen.replace(mode=mode), perception)
+                    chosen = config_on(setting, config, placement, observes)
+                variant = ShieldVariant(
+                    placement, chosen if placement == "none" else chosen.replace(mode=mode), perception
+                )
                 if variant not in variants:
                     variants.append(variant)
     return variants
@@ -169,6 +176,7 @@ def rules_text(rules: Mapping[str, int]) -> str:
     return ", ".join(f"{rule} {count}" for rule, count in sorted(rules.items()) if count)
 
 
+@accept_former_fields({"door": "placement"})
 @dataclass(frozen=True, slots=True)
 class EpisodeRecord:
     """Result of one episode.
@@ -176,7 +184,7 @@ class EpisodeRecord:
     Attributes
     ----------
     setting, policy : names.
-    door, mode : `place` and `mode` of the `ShieldVariant`.
+    placement, mode : `place` and `mode` of the `ShieldVariant`.
     seed : seed of the episode.
     crashed : whether the ego crashed.
     off_road : whether the ego's centre left the road.
@@ -227,7 +235,7 @@ class EpisodeRecord:
 
     setting: str
     policy: str
-    door: str
+    placement: str
     mode: str
     seed: int
     crashed: bool

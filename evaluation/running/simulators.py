@@ -63,7 +63,7 @@ def environment(
             return _with_compiled_frames(made, variant)
         _check(policy, variant, model)
         env = CompiledHighwayEnv(setting.env_id, setting.configured)
-        if variant.door != "none" and variant.config.simulates and isinstance(env.action_type, ContinuousAction):
+        if variant.placement != "none" and variant.config.simulates and isinstance(env.action_type, ContinuousAction):
             raise ConfigError("throttle and steering are verified by simulation in highway-env itself")
         return seen_through(env, sensor), env.simulator.exact
 
@@ -76,7 +76,7 @@ def environment(
 def _with_compiled_frames(made: gym.Env[Any, Any], variant: ShieldVariant) -> tuple[gym.Env[Any, Any], bool]:
     """An environment on a road network with compiled frames; raises `ConfigError` if the shield supervises frames."""
     meta = made.unwrapped.config["action"]["type"] == "DiscreteMetaAction"  # type: ignore[attr-defined]
-    if variant.door == "policy" or (variant.door == "env" and not (meta and variant.config.simulates)):
+    if variant.placement == "policy" or (variant.placement == "env" and not (meta and variant.config.simulates)):
         raise ConfigError("frames are supervised one by one in highway-env itself")
     env = with_compiled_frames(made)
     return env, env.exact
@@ -84,8 +84,8 @@ def _with_compiled_frames(made: gym.Env[Any, Any], variant: ShieldVariant) -> tu
 
 def _check(policy: Any, variant: ShieldVariant, model: str | None) -> None:
     """Raise `ConfigError` if the policy or the shield reads more of highway-env than the compiled copy has."""
-    if variant.door not in ("none", "env") and variant != variant_for(variant.config):
-        raise ConfigError(f"door {variant.door!r} stands around highway-env; the compiled highway has none and env")
+    if variant.placement not in ("none", "env") and variant != variant_for(variant.config):
+        raise ConfigError(f"placement {variant.placement!r} is for highway-env; the compiled highway has none and env")
     if model not in (None, "bicycle"):
         raise ConfigError(f"the model {model!r} is read from highway-env; the compiled highway has the bicycle")
     if not isinstance(policy, str) or not (policy in _READY or policy in list_references() or policy.endswith(".zip")):

@@ -11,6 +11,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from evaluation.measuring.columns import present_columns, with_present_columns
 from evaluation.running.store_rows import KEY
 from shield.errors import ConfigError
 
@@ -105,7 +106,7 @@ def is_steps(path: Path) -> bool:
     if path.suffix != ".parquet" or not path.is_file():
         return False
     try:
-        return {*KEY, "step", "proposed"} <= set(pq.read_schema(path).names)
+        return {*KEY, "step", "proposed"} <= present_columns(pq.read_schema(path).names)
     except pa.ArrowInvalid:
         return False
 
@@ -148,9 +149,9 @@ def merge_steps(paths: Iterable[Path], episodes: pd.DataFrame) -> pd.DataFrame:
 
 def _read(path: Path) -> pd.DataFrame:
     try:
-        if not set(KEY) <= set(pq.read_schema(path).names):
+        if not set(KEY) <= present_columns(pq.read_schema(path).names):
             raise ConfigError(f"{path} has other columns than a table of decisions")
-        return pd.read_parquet(path)
+        return with_present_columns(pd.read_parquet(path))
     except pa.ArrowInvalid as error:
         raise ConfigError(f"{path} is no table of decisions: {error}") from None
 

@@ -10,11 +10,12 @@ from typing import Any
 import pandas as pd
 
 from dynamics.errors import ConfigError, DataError
+from evaluation.measuring.columns import with_present_keys
 from evaluation.running.parts import MANIFEST, PARTS, Parts
 
 __all__ = ["KEY", "OPEN", "is_store", "line_of", "lines_of", "once", "plain_rows", "read_lines", "read_store"]
 
-KEY = ("setting", "policy", "door", "mode", "seed")
+KEY = ("setting", "policy", "placement", "mode", "seed")
 """Columns that identify an episode within a comparison."""
 OPEN = "open.jsonl"
 """Name of the file of open rows, which are in no part yet."""
@@ -74,7 +75,7 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
     """Parse each line of JSON; an incomplete last line is dropped."""
     whole, _, _torn = path.read_bytes().rpartition(b"\n")
     try:
-        return [json.loads(line) for line in whole.split(b"\n")] if whole else []
+        return [with_present_keys(json.loads(line)) for line in whole.split(b"\n")] if whole else []
     except ValueError as error:
         raise DataError(f"{path} is damaged: {error}; --force begins again") from None
 

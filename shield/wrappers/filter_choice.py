@@ -18,9 +18,9 @@ from shield.rules import Rule
 if TYPE_CHECKING:
     from mpc.filter.program.road_step import StageModel
 
-__all__ = ["Door", "filter_for"]
+__all__ = ["Filter", "filter_for"]
 
-Door: TypeAlias = MetaActionFilter | InputFilter | SimulatedMetaActionFilter | SimulatedInputFilter | NetworkFilter
+Filter: TypeAlias = MetaActionFilter | InputFilter | SimulatedMetaActionFilter | SimulatedInputFilter | NetworkFilter
 """A filter for the actions of one ego."""
 
 
@@ -34,7 +34,7 @@ def filter_for(
     perception: str | PerceptionConfig = "simulator",
     model: StageModel | None = None,
     rule: Rule | None = None,
-) -> Door:
+) -> Filter:
     """The filter for an environment of one ego.
 
     Parameters
@@ -52,13 +52,13 @@ def filter_for(
     base = env.unwrapped
     if not inputs and not config.simulates and not (on_roads and config.mode == "full"):
         return MetaActionFilter(base, config, frames, rule, scenes_of(perception, env))
-    door: Door
+    action_filter: Filter
     if inputs and config.simulates:
-        door = SimulatedInputFilter(base, config)
+        action_filter = SimulatedInputFilter(base, config)
     elif inputs:
-        door = InputFilter(base, config, agent=not frames, model=model)
+        action_filter = InputFilter(base, config, agent=not frames, model=model)
     else:
-        door = SimulatedMetaActionFilter(base, config) if config.simulates else NetworkFilter(base, config)
+        action_filter = SimulatedMetaActionFilter(base, config) if config.simulates else NetworkFilter(base, config)
     if perception != "simulator":
         raise ConfigError(NO_OBSERVED_SCENES)
-    return door
+    return action_filter

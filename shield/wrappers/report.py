@@ -18,14 +18,14 @@ __all__ = ["Statistics", "ViolationCount", "multi_agent_record", "multi_agent_re
 class ViolationCount:
     """Number of violations of a filter at one time, for the difference to a later one."""
 
-    def __init__(self, door: Any) -> None:
-        self._violations: int = door.violations
-        self._by_rule: dict[str, int] = door.by_rule
+    def __init__(self, action_filter: Any) -> None:
+        self._violations: int = action_filter.violations
+        self._by_rule: dict[str, int] = action_filter.by_rule
 
-    def since(self, door: Any) -> tuple[int, dict[str, int]]:
+    def since(self, action_filter: Any) -> tuple[int, dict[str, int]]:
         """Number of violations since then, and by rule."""
-        rules = {rule: count - self._by_rule.get(rule, 0) for rule, count in door.by_rule.items()}
-        return door.violations - self._violations, {rule: count for rule, count in rules.items() if count}
+        rules = {rule: count - self._by_rule.get(rule, 0) for rule, count in action_filter.by_rule.items()}
+        return action_filter.violations - self._violations, {rule: count for rule, count in rules.items() if count}
 
 
 @dataclass(slots=True)

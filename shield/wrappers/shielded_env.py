@@ -12,6 +12,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
+from dynamics.deprecation import warn_of_former_name
 from shield.certificate.network.others import has_crossings
 from shield.config import ShieldConfig
 from shield.decision import Decision, Verification
@@ -32,7 +33,7 @@ from shield.rules import Rule
 from shield.wrappers.action_type import action_type_name
 from shield.wrappers.defaults import ChosenSettings, SettingsContext, as_settings, choose_settings
 from shield.wrappers.failure_limit import ActionWarning, FailureLimit
-from shield.wrappers.filter_choice import Door, filter_for
+from shield.wrappers.filter_choice import Filter, filter_for
 from shield.wrappers.policy_adapters import as_policy, refuse_misfits
 from shield.wrappers.ranking import normalised, order_from_scores, ranking_of
 from shield.wrappers.report import Statistics, ViolationCount, multi_agent_record, multi_agent_report, report
@@ -159,7 +160,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._given, self._rule, self._model, self._perception = as_settings(config), rule, model, perception
         self._recording = False
         self._chosen = self._settings(kind)
-        self._door: Door | MultiAgentFilter = self._made(kind)
+        self._filter: Filter | MultiAgentFilter = self._made(kind)
         self._observation: Any = None
         self._road: Any = None
         self._supervising = self.latency = 0.0
@@ -172,7 +173,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     @property
     def last_decisions(self) -> list[Decision]:
         """The record of the last step, of each ego: the decision and its frames so far (`Decision.with_frames`)."""
-        if isinstance(self._door, MultiAgentFilter):
+        if isinstance(self._filter, MultiAgentFilter):
             return [each.with_frames(()) for each in self.decisions]
         return [each.with_frames(self.frame_decisions) for each in self.decisions]
 
@@ -183,7 +184,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         if not self.decisions:
             return None
         return (
-            multi_agent_record(self.decisions) if isinstance(self._door, MultiAgentFilter) else self.last_decisions[0]
+            multi_agent_record(self.decisions) if isinstance(self._filter, MultiAgentFilter) else self.last_decisions[0]
         )
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -192,16 +193,16 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         `info["shield_episode"]` is about that episode, if an outer wrapper has ended it, so that no step reported it.
         """
         if self._episode.decisions and not self._summed and self._base.road is self._road:
-            before = ViolationCount(self._door)
-            self._door.look()
-            self._episode.add_offences(*before.since(self._door))
+            before = ViolationCount(self._filter)
+            self._filter.look()
+            self._episode.add_offences(*before.since(self._filter))
         obs, info = self.env.reset(seed=seed, options=options)
         if self._episode.decisions and not self._summed:
             info["shield_episode"] = self._episode.summary()
         kind = self._kind()
         inputs, team = kind == "ContinuousAction", kind == "MultiAgentAction"
-        same = inputs is isinstance(self._door, InputFilter | SimulatedInputFilter) and team is isinstance(
-            self._door, MultiAgentFilter
+        same = inputs is isinstance(self._filter, InputFilter | SimulatedInputFilter) and team is isinstance(
+            self._filter, MultiAgentFilter
         )
         if not same:
             raise ConfigError("the reset has changed the environment's action type; make a new ShieldedEnv around it")
@@ -209,8 +210,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             chosen = self._settings(kind)
             if chosen.config != self._chosen.config:
                 self._chosen = chosen
-                self._door = self._made(kind)
-        self._door.reset()
+                self._filter = self._made(kind)
+        self._filter.reset()
         self._episode, self._summed = Statistics(), False
         self._observation = obs
         self.decisions, self.frame_decisions = [], []
@@ -221,21 +222,21 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         if self._base.road is None:
             raise SceneError("the environment has no road yet; call reset() first")
         start = perf_counter()
-        before = ViolationCount(self._door)
-        if isinstance(self._door, MultiAgentFilter):
-            decisions = self._door.decide(action)
+        before = ViolationCount(self._filter)
+        if isinstance(self._filter, MultiAgentFilter):
+            decisions = self._filter.decide(action)
             executed = tuple(int(each.executed) for each in decisions)
         else:
-            if isinstance(self._door, MetaActionFilter):
-                self._door.show(self._observation)
-            decisions = [self._door.decide(action, self._order_of(action))]
+            if isinstance(self._filter, MetaActionFilter):
+                self._filter.show(self._observation)
+            decisions = [self._filter.decide(action, self._order_of(action))]
             executed = decisions[0].executed
-        self._patience.check(decisions[0], self._door.cause)
+        self._patience.check(decisions[0], self._filter.cause)
         self._action_warning.check(decisions, self._base)
         self.decisions, self.frame_decisions = decisions, []
         self._supervising, self._road = 0.0, self._base.road
         deciding, frames = perf_counter() - start, int(self._base.steps)
-        if self._door.supervising:
+        if self._filter.supervising:
             with Supervision(self._base, self._frame):
                 obs, reward, terminated, truncated, info = self.env.step(executed)
         else:
@@ -247,11 +248,11 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         each: Any = terminated
         ended = truncated or (self._base._is_terminated() if isinstance(each, tuple) else terminated)
         if ended:
-            self._door.look()
-        offences = before.since(self._door)
+            self._filter.look()
+        offences = before.since(self._filter)
         record = self.last_decision
         assert record is not None
-        if isinstance(self._door, MultiAgentFilter):
+        if isinstance(self._filter, MultiAgentFilter):
             info["shield"] = multi_agent_report(record, self.last_decisions, *offences)
         else:
             info["shield"] = report(record, *offences)
@@ -295,16 +296,16 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         """Meaning of the verification, in a sentence."""
         return self._chosen.promise
 
-    def _made(self, kind: str) -> Door | MultiAgentFilter:
+    def _made(self, kind: str) -> Filter | MultiAgentFilter:
         """The filter for the chosen settings."""
         config = self.config
-        door: Door | MultiAgentFilter
+        action_filter: Filter | MultiAgentFilter
         if is_multi_agent(self._base):
-            door = MultiAgentFilter(self._base, config)
+            action_filter = MultiAgentFilter(self._base, config)
             if self._perception != "simulator":
                 raise ConfigError(NO_OBSERVED_SCENES)
         else:
-            door = filter_for(
+            action_filter = filter_for(
                 self.env,
                 config,
                 inputs=kind == "ContinuousAction",
@@ -316,25 +317,25 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         # Last, because the filter's own refusals apply without rule and model too.
         if config.simulates and (self._rule is not None or self._model is not None):
             raise ConfigError("Assumptions.simulated_traffic() verifies by simulation: leave rule and model out")
-        warm_up_filter(door)
+        warm_up_filter(action_filter)
         if self._recording:
-            door.record()
+            action_filter.record()
         self._chosen.announce()
-        return door
+        return action_filter
 
     def action_masks(self) -> np.ndarray[Any, Any]:
         """Mask of the actions that verify now, for sb3-contrib's MaskablePPO; all True if none does.
 
         (MaskablePPO cannot handle an empty mask; then `step` falls back for any action.)
         """
-        if not isinstance(self._door, MetaActionFilter | SimulatedMetaActionFilter | NetworkFilter):
+        if not isinstance(self._filter, MetaActionFilter | SimulatedMetaActionFilter | NetworkFilter):
             raise ConfigError("action_masks() needs DiscreteMetaAction of one ego; this environment has other actions")
-        return self._door.mask()
+        return self._filter.mask()
 
     def record(self) -> None:
         """Keep in each later decision the data for films and overlays, as with `ShieldConfig.record`."""
         self._recording = True
-        self._door.record()
+        self._filter.record()
 
     @property
     def statistics(self) -> Statistics:
@@ -345,9 +346,15 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return deepcopy(self._episode)
 
     @property
-    def door(self) -> Door | MultiAgentFilter:
+    def filter(self) -> Filter | MultiAgentFilter:
         """The filter; its class determines the kind of verification."""
-        return self._door
+        return self._filter
+
+    @property
+    def door(self) -> Filter | MultiAgentFilter:
+        """The former name of `filter`."""
+        warn_of_former_name("ShieldedEnv.door", "write ShieldedEnv.filter")
+        return self._filter
 
     @property
     def core(self) -> DecisionCore[Any]:
@@ -358,9 +365,11 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         AttributeError
             If the traffic is simulated, or on a road network: the filters for these have none.
         """
-        if isinstance(self._door, SimulatedMetaActionFilter | SimulatedInputFilter | MultiAgentFilter | NetworkFilter):
+        if isinstance(
+            self._filter, SimulatedMetaActionFilter | SimulatedInputFilter | MultiAgentFilter | NetworkFilter
+        ):
             raise AttributeError("there is no core where the traffic is simulated, and on networks of roads")
-        return self._door.core
+        return self._filter.core
 
     def _order_of(self, action: Any) -> Callable[[], list[int] | None] | None:
         """Function for the policy's order of preference over the other actions; None without a policy."""
@@ -374,8 +383,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     def _frame(self) -> Command:
         start = perf_counter()
-        assert not isinstance(self._door, SimulatedMetaActionFilter | MultiAgentFilter)
-        command, decision = self._door.frame()
+        assert not isinstance(self._filter, SimulatedMetaActionFilter | MultiAgentFilter)
+        command, decision = self._filter.frame()
         self.frame_decisions.append(decision)
         self._supervising += perf_counter() - start
         return command

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dynamics.deprecation import warn_of_former_name
 from shield.certificate.network.others import has_crossings
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Verification
@@ -30,7 +31,7 @@ from shield.wrappers.action_rows import ActionRows, as_numbers
 from shield.wrappers.action_type import action_type_name
 from shield.wrappers.defaults import ChosenSettings, SettingsContext, as_settings, choose_settings
 from shield.wrappers.failure_limit import ActionWarning, FailureLimit
-from shield.wrappers.filter_choice import Door, filter_for
+from shield.wrappers.filter_choice import Filter, filter_for
 from shield.wrappers.known_environments import prior_maps
 from shield.wrappers.policy_adapters import as_policy, refuse_misfits
 from shield.wrappers.ranking import Ranking
@@ -130,7 +131,7 @@ class Shield(WrappedPolicy):
         self._known = prior_maps(env, known, frames, perception)
         self.policy = as_policy(policy, env)
         self._frames = frames
-        self._doors: list[Door]
+        self._filters: list[Filter]
         self._bases: list[Any]
         if self._known:
             self._bases, self._inputs = [None] * len(self._known), False
@@ -144,17 +145,17 @@ class Shield(WrappedPolicy):
         if self._known:
             settings = perception if isinstance(perception, PerceptionConfig) else None
             scenes = [EnvironmentFreeScenes(one, settings) for one in self._known]
-            self._doors = [MetaActionFilter(None, self.config, frames=False, scenes=each) for each in scenes]
-            warm_up_filter(self._doors[0])
+            self._filters = [MetaActionFilter(None, self.config, frames=False, scenes=each) for each in scenes]
+            warm_up_filter(self._filters[0])
         else:
-            self._doors = [self._made(i) for i in range(n)]
+            self._filters = [self._made(i) for i in range(n)]
         self._roads: list[Any] = [None] * n
         self._decided = [0] * n
         self._patience = [FailureLimit(self.config.patience) for _ in self._bases]
         self._action_warning = ActionWarning()
         self._alive = [StaleEnvironmentCheck(base) for base in self._bases if base is not None]
         self._supervisions: list[Supervision | None] = [None] * n
-        self._counted = [ViolationCount(door) for door in self._doors]
+        self._counted = [ViolationCount(action_filter) for action_filter in self._filters]
         self._statistics = Statistics()
         self.decisions: list[Decision] = []
         self.frame_decisions: list[list[Decision]] = [[] for _ in range(n)]
@@ -164,10 +165,10 @@ class Shield(WrappedPolicy):
         observes = bool(self._known) or self._perception != "simulator"
         return choose_settings(self._given, SettingsContext(self._bases[i], self._inputs, self._frames, observes))
 
-    def _made(self, i: int) -> Door:
+    def _made(self, i: int) -> Filter:
         """The filter for environment `i` with its chosen settings."""
         chosen, base = self._chosen[i], self._bases[i]
-        door = filter_for(
+        action_filter = filter_for(
             getattr(self._env, "envs", [self._env])[i],
             chosen.config,
             inputs=self._inputs,
@@ -180,23 +181,29 @@ class Shield(WrappedPolicy):
             raise ConfigError(
                 "Assumptions.simulated_traffic() verifies throttle and steering at every frame: frames=True"
             )
-        warm_up_filter(door)
+        warm_up_filter(action_filter)
         if self._recording:
-            door.record()
+            action_filter.record()
         if i == 0:
             chosen.announce()
-        return door
+        return action_filter
 
     def record(self) -> None:
         """Keep in each later decision the data for films and overlays, as with `ShieldConfig.record`."""
         self._recording = True
-        for door in self._doors:
-            door.record()
+        for action_filter in self._filters:
+            action_filter.record()
 
     @property
-    def doors(self) -> tuple[Door, ...]:
+    def filters(self) -> tuple[Filter, ...]:
         """The filter of each environment; its class determines the kind of verification."""
-        return tuple(self._doors)
+        return tuple(self._filters)
+
+    @property
+    def doors(self) -> tuple[Filter, ...]:
+        """The former name of `filters`."""
+        warn_of_former_name("Shield.doors", "write Shield.filters")
+        return self.filters
 
     @property
     def config(self) -> ShieldConfig:
@@ -239,8 +246,8 @@ class Shield(WrappedPolicy):
         same = base is not None and base.road is self._roads[i]
         if same and base.steps >= self._decided[i] + frames_of(base):
             # All frames of the decision are over, and perhaps no later decision runs the monitor on the last one.
-            self._doors[i].look()
-        offences = self._counted[i].since(self._doors[i])
+            self._filters[i].look()
+        offences = self._counted[i].since(self._filters[i])
         told = report(self.decisions[i].with_frames(self.frame_decisions[i]), *offences)
         return {**told, "verification": self._chosen[i].verification.value}
 
@@ -263,8 +270,8 @@ class Shield(WrappedPolicy):
     def reset(self) -> None:
         """Clear everything about the episodes. Called automatically when an environment starts a new episode."""
         self._statistics = self.statistics
-        for i, door in enumerate(self._doors):
-            door.reset()
+        for i, action_filter in enumerate(self._filters):
+            action_filter.reset()
             self._unsupervise(i)
         self.decisions = []
 
@@ -307,14 +314,16 @@ class Shield(WrappedPolicy):
             alive.check(_row(observation, i, len(self._alive)))
         proposed = self._propose(observation, state, episode_start, deterministic)
         size, whole = self._form
-        actions = ActionRows.of(proposed.actions, len(self._doors), None if whole else size, self._batched(observation))
+        actions = ActionRows.of(
+            proposed.actions, len(self._filters), None if whole else size, self._batched(observation)
+        )
         ranking = Ranking(self.policy, observation)
-        for i in range(len(self._doors)):
+        for i in range(len(self._filters)):
             self._begin(i, episode_start)
         self._show(observation, episode_start is None)
         self.decisions = [self._decide(i, row, ranking, proposed.reason) for i, row in enumerate(actions.rows)]
-        for patience, decision, door in zip(self._patience, self.decisions, self._doors, strict=True):
-            patience.check(decision, proposed.cause or door.cause)
+        for patience, decision, action_filter in zip(self._patience, self.decisions, self._filters, strict=True):
+            patience.check(decision, proposed.cause or action_filter.cause)
         self._action_warning.check(self.decisions, self._known[0] if self._known else self._bases[0])
         if self._inputs and not whole and not any(decision.overridden for decision in self.decisions):
             return proposed.actions, proposed.state
@@ -323,7 +332,7 @@ class Shield(WrappedPolicy):
     @property
     def _form(self) -> tuple[int, bool]:
         """Number of values in an action, and whether it is a whole number."""
-        first = self._doors[0]
+        first = self._filters[0]
         if not isinstance(first, InputFilter | SimulatedInputFilter):
             return 1, True
         return first.actuators.entries, first.actuators.choices is not None
@@ -336,7 +345,7 @@ class Shield(WrappedPolicy):
             )
         except Exception as error:
             _log.debug("the policy raised", exc_info=True)
-            shape = (len(self._doors),) if self._batched(observation) else ()
+            shape = (len(self._filters),) if self._batched(observation) else ()
             nothing = np.full((*shape, self._form[0]) if self._inputs else shape, np.nan, np.float32)
             return _PolicyOutput(nothing, state, Reason.POLICY_FAILED, f"{type(error).__name__}: {error}")
         numbers = None if self._inputs else as_numbers(actions)
@@ -345,53 +354,57 @@ class Shield(WrappedPolicy):
 
     def _decide(self, i: int, proposal: Any, ranking: Ranking, reason: Reason | None) -> Decision:
         """Decision for environment `i`, with its frames supervised from now on."""
-        door, base = self._doors[i], self._bases[i]
+        action_filter, base = self._filters[i], self._bases[i]
         wanted: Any = None
         if not self._inputs:
             proposed, many = action_index(proposal), self._actions(i)
             wanted = lambda: ranking.order(i, proposed, many)  # noqa: E731
         self._decided[i] = 0 if base is None else int(base.steps)
-        decision = door.decide(proposal, wanted)
+        decision = action_filter.decide(proposal, wanted)
         if reason is not None and decision.reason is Reason.BAD_ACTION:
             decision = replace(decision, reason=reason)
         supervision = self._supervisions[i]
-        if self._frames and door.supervising and (supervision is None or not supervision.supervises(base.vehicle)):
+        if (
+            self._frames
+            and action_filter.supervising
+            and (supervision is None or not supervision.supervises(base.vehicle))
+        ):
             self._supervisions[i] = Supervision(base, lambda: self._frame(i)).install()
         return decision
 
     def _begin(self, i: int, episode_start: Any) -> None:
         """Add the last decision to the statistics, and clear the last episode if a new one has begun."""
-        door, base = self._doors[i], self._bases[i]
+        action_filter, base = self._filters[i], self._bases[i]
         if len(self.decisions) > i:
             self._statistics.add(self.report(i), self._latency(i))
         if base is None:
             if episode_start is not None and np.reshape(episode_start, -1)[i]:
-                door.reset()
+                action_filter.reset()
         elif base.road is not self._roads[i]:
             self._roads[i] = base.road
             chosen = self._chosen[i] if isinstance(self._given, ShieldConfig) else self._settings(i)
             if chosen.config != self._chosen[i].config:
                 self._unsupervise(i)
                 self._chosen[i] = chosen
-                self._doors[i] = door = self._made(i)
-            door.reset()
-        self._counted[i], self.frame_decisions[i] = ViolationCount(door), []
+                self._filters[i] = action_filter = self._made(i)
+            action_filter.reset()
+        self._counted[i], self.frame_decisions[i] = ViolationCount(action_filter), []
 
     def _show(self, observation: Any, unsaid: bool) -> None:
         """Present each environment's observation to its scene reader. With `unsaid`, no caller marks the beginning of
         an episode."""
-        if not isinstance(self._doors[0], MetaActionFilter) or not self._doors[0].observing:
+        if not isinstance(self._filters[0], MetaActionFilter) or not self._filters[0].observing:
             return
-        shown, n = undo_vec_wrappers(self._env, observation), len(self._doors)
+        shown, n = undo_vec_wrappers(self._env, observation), len(self._filters)
         if n > 1 and len(shown) != n:
             raise ConfigError(f"there are {len(shown)} observations for {n} environments; a batch has one row for each")
-        for i, door in enumerate(self._doors):
-            assert isinstance(door, MetaActionFilter)
-            door.show(_row(shown, i, n))
-            if unsaid and door.begins():
-                door.reset()
-                self._counted[i] = ViolationCount(door)
-                door.show(_row(shown, i, n))
+        for i, action_filter in enumerate(self._filters):
+            assert isinstance(action_filter, MetaActionFilter)
+            action_filter.show(_row(shown, i, n))
+            if unsaid and action_filter.begins():
+                action_filter.reset()
+                self._counted[i] = ViolationCount(action_filter)
+                action_filter.show(_row(shown, i, n))
 
     def _actions(self, i: int) -> int:
         return len(self._known[i].actions) if self._known else int(self._bases[i].action_space.n)
@@ -400,16 +413,16 @@ class Shield(WrappedPolicy):
         """Whether an observation is of several environments, or a batch of one."""
         space, seen = getattr(self._env, "observation_space", None), observation
         if space is None:
-            return len(self._doors) > 1 or _dimensions(seen) > len(self._known[0].shape)
+            return len(self._filters) > 1 or _dimensions(seen) > len(self._known[0].shape)
         if isinstance(seen, dict) and seen:
             key = next(iter(seen))
             space, seen = space[key], seen[key]
         return _dimensions(seen) > len(space.shape or ()) or hasattr(self._env, "single_action_space")
 
     def _frame(self, i: int) -> Command:
-        door = self._doors[i]
-        assert not isinstance(door, SimulatedMetaActionFilter)
-        command, decision = door.frame()
+        action_filter = self._filters[i]
+        assert not isinstance(action_filter, SimulatedMetaActionFilter)
+        command, decision = action_filter.frame()
         self.frame_decisions[i].append(decision)
         return command
 

@@ -14,7 +14,7 @@ from shield.filters.simulated.inputs import SimulatedInputFilter
 from shield.filters.simulated.meta_actions import SimulatedMetaActionFilter
 from shield.filters.simulated.multi_agent import MultiAgentFilter
 from shield.pipelines.warm_up import warm_up
-from shield.wrappers.filter_choice import Door
+from shield.wrappers.filter_choice import Filter
 
 __all__ = [
     "warm_up_explanations",
@@ -28,15 +28,15 @@ _EXPLANATIONS = {True: "simulated explanations on networks", False: "simulated e
 """Parts, by whether the traffic is simulated as a road network."""
 
 
-def warm_up_filter(door: Door | MultiAgentFilter) -> None:
+def warm_up_filter(action_filter: Filter | MultiAgentFilter) -> None:
     """Compile the kernels of a filter."""
-    if isinstance(door, MultiAgentFilter):
+    if isinstance(action_filter, MultiAgentFilter):
         warm_up_simulated(True)
-    elif isinstance(door, SimulatedMetaActionFilter):
-        warm_up_simulated(door.on_network)
-    elif isinstance(door, SimulatedInputFilter):
+    elif isinstance(action_filter, SimulatedMetaActionFilter):
+        warm_up_simulated(action_filter.on_network)
+    elif isinstance(action_filter, SimulatedInputFilter):
         warm_up_simulated_inputs()
-    elif isinstance(door, NetworkFilter):
+    elif isinstance(action_filter, NetworkFilter):
         warm_up_networks()
     else:
         warm_up()
@@ -58,9 +58,9 @@ def warm_up_simulated_inputs() -> None:
     with announced("simulated throttle and steering"):
         env = gym.make("highway-fast-v0", config={"vehicles_count": 3, "action": {"type": "ContinuousAction"}})
         env.reset(seed=0)
-        door = SimulatedInputFilter(env.unwrapped, ShieldConfig.simulated_traffic())
+        action_filter = SimulatedInputFilter(env.unwrapped, ShieldConfig.simulated_traffic())
         for action in ([0.0, 0.0], [1.0, 1.0], [np.nan, 0.0]):
-            door.decide(action)
+            action_filter.decide(action)
     # Throttle and steering are simulated as on a network, even on a straight highway.
     _load_explanations(True)
 
@@ -87,6 +87,6 @@ def warm_up_networks() -> None:
     with announced("worst case on networks"):
         env = gym.make("roundabout-v1")
         env.reset(seed=0)
-        door = NetworkFilter(env.unwrapped, ShieldConfig.for_roads())
-        door.decide(1)
-        door.frame()
+        action_filter = NetworkFilter(env.unwrapped, ShieldConfig.for_roads())
+        action_filter.decide(1)
+        action_filter.frame()

@@ -155,13 +155,13 @@ def test_two_configurations_do_not_share_their_parts_by_mutation():
     assert hash(ShieldConfig()) == hash(ShieldConfig())
 
 
-@pytest.mark.parametrize("door", [ShieldedEnv, lambda env, config: Shield(ConstantPolicy(1), env=env, config=config)])
-def test_both_wrappers_take_settings_or_their_file_and_refuse_anything_else(door, tmp_path):
+@pytest.mark.parametrize("wrap", [ShieldedEnv, lambda env, config: Shield(ConstantPolicy(1), env=env, config=config)])
+def test_both_wrappers_take_settings_or_their_file_and_refuse_anything_else(wrap, tmp_path):
     env, path = gym.make("highway-fast-v0"), tmp_path / "shield.toml"
     ShieldConfig(braking=5.0).save(path)
     for config in (ShieldConfig(braking=5.0), path, str(path)):
-        assert door(env, config).config.braking == 5.0
+        assert wrap(env, config).config.braking == 5.0
     with pytest.raises(ConfigError, match="there is no shield configuration full; `shield config` prints one"):
-        door(env, "full")
+        wrap(env, "full")
     with pytest.raises(ConfigError, match="must be a ShieldConfig or the path of a TOML file, got 3"):
-        door(env, 3)
+        wrap(env, 3)

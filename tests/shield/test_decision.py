@@ -46,16 +46,16 @@ def plan_for(env, seed):
     return [np.clip(rng.normal(0.7, 0.5, space.shape), low, high).astype(np.float32) for _ in range(200)]
 
 
-def steps(name, door, seed):
+def steps(name, placement, seed):
     """Drive an episode. For each step: proposal, record, report, frames, the action that the environment got, the
     ego's state, and the state of an unshielded copy that executes the proposal."""
     env_id, settings, config = CELLS[name]
     bare = gym.make(env_id, config=settings)
     base = bare.unwrapped
     plan = plan_for(bare, seed)
-    shielded = ShieldedEnv(bare, config) if door == "env" else None
+    shielded = ShieldedEnv(bare, config) if placement == "env" else None
     policy = Playback(list(plan))
-    shield = None if door == "env" else Shield(policy, bare, config, frames=door == "policy")
+    shield = None if placement == "env" else Shield(policy, bare, config, frames=placement == "policy")
     obs, _ = (shielded or bare).reset(seed=seed)
     for action in plan:
         twin = copy.deepcopy(base)
@@ -80,22 +80,22 @@ def steps(name, door, seed):
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(
-    ("name", "door"),
+    ("name", "placement"),
     [
-        (name, door)
+        (name, placement)
         for name in CELLS
-        for door in WRAPPERS
+        for placement in WRAPPERS
         # `Shield` of actions alone is refused where every frame is verified.
-        if not (door == "actions" and name in ("highway, simulated inputs", "roundabout"))
+        if not (placement == "actions" and name in ("highway, simulated inputs", "roundabout"))
     ],
 )
-def test_every_report_of_a_step_agrees_with_the_executed_action(name, door):
+def test_every_report_of_a_step_agrees_with_the_executed_action(name, placement):
     """The README's `last_decision` said "passed", "executed unchanged", for steps that `info["shield"]` called
     overridden. `3 -> 3` was reported as an override although no frame had changed."""
     reports, tally, met = [], Tally(), set()
     for seed in (912_000, 912_001):
         reports.clear()
-        for action, record, told, frames, given, as_bare, counted in steps(name, door, seed):
+        for action, record, told, frames, given, as_bare, counted in steps(name, placement, seed):
             for key in TOLD:
                 assert same(told[key], getattr(record, key)), key
             held, other = [frame for frame in frames if frame.overridden], not np.array_equal(given, action)
@@ -106,17 +106,17 @@ def test_every_report_of_a_step_agrees_with_the_executed_action(name, door):
             assert np.array_equal(record.proposed, action)
             if done is Intervention.NONE:
                 assert as_bare
-            elif door == "env" and not record.tier.fallback:
+            elif placement == "env" and not record.tier.fallback:
                 assert not as_bare
             reports.append(told)
             tally.add({**told, "latency_ms": 0.0})
             met.add(done)
-            if counted is not None and door == "env":
+            if counted is not None and placement == "env":
                 assert counted["decisions"] == len(reports)
                 assert counted["overridden"] == sum(each["overridden"] for each in reports)
                 assert counted["held_back"] == sum(each["intervention"] == "held back" for each in reports)
                 assert counted["frames_overridden"] == sum(each["frames_overridden"] for each in reports)
-        if counted is not None and door != "env":
+        if counted is not None and placement != "env":
             assert counted["overridden"] == sum(each["overridden"] for each in reports)
     assert tally.held_back <= tally.overridden
     if "no shield" in name:

@@ -2,10 +2,13 @@
 
 from dataclasses import replace
 
+import gymnasium as gym
 import pytest
 
 from dynamics.traffic.assumptions import Assumptions
-from shield import ShieldConfig
+from evaluation.experiments import Experiment
+from evaluation.running.records import ShieldVariant, make_variants
+from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.decision import Guarantee
 
 
@@ -64,6 +67,34 @@ def test_the_former_name_of_an_assumption_sets_and_reads_the_same_field(former):
 def test_the_former_keyword_of_the_settings_on_road_networks():
     with pytest.warns(DeprecationWarning, match="write 'considers_connected_lanes'"):
         assert ShieldConfig.for_roads(looks_ahead=True) == ShieldConfig.for_roads(considers_connected_lanes=True)
+
+
+def test_the_former_name_of_the_filter_of_both_wrappers():
+    env = ShieldedEnv(gym.make("highway-fast-v0"), ShieldConfig(mode="distance"))
+    with pytest.warns(DeprecationWarning, match=r"write ShieldedEnv\.filter"):
+        assert env.door is env.filter
+    shield = Shield(lambda _: 1, gym.make("highway-fast-v0"), ShieldConfig(mode="distance"))
+    with pytest.warns(DeprecationWarning, match=r"write Shield\.filters"):
+        assert shield.doors == shield.filters
+
+
+def test_the_former_name_of_the_placement_of_a_shield(tmp_path):
+    present = ShieldVariant(placement="env")
+    with pytest.warns(DeprecationWarning, match="'door' of ShieldVariant is deprecated: write 'placement'"):
+        assert ShieldVariant(door="env") == present
+    with pytest.warns(DeprecationWarning, match=r"write ShieldVariant\.placement"):
+        assert present.door == "env"
+    with pytest.warns(DeprecationWarning, match="'doors' of make_variants is deprecated: write 'placements'"):
+        assert make_variants(["full"], doors=["env"], config=ShieldConfig()) == [present]
+    with pytest.warns(DeprecationWarning, match="'door' of Experiment"):
+        experiment = Experiment(door="policy")
+    assert experiment.placement == "policy"
+    with pytest.warns(DeprecationWarning, match="'door' of Experiment"):
+        assert experiment.with_options(door="env").placement == "env"
+    file = tmp_path / "experiment.toml"
+    file.write_text('door = "policy"\n', encoding="utf-8")
+    with pytest.warns(DeprecationWarning, match="experiment.toml is deprecated: write 'placement'"):
+        assert Experiment.from_toml(file) == experiment
 
 
 def test_an_unknown_keyword_is_still_refused():

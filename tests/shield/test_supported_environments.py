@@ -184,9 +184,9 @@ def fail():
 @pytest.mark.parametrize(
     ("env_id", "config", "reads"),
     [
-        ("highway-fast-v0", {}, lambda door: (door.reader, "read")),
-        ("highway-fast-v0", INPUTS, lambda door: (door._reader, "read")),
-        ("roundabout-v1", {}, lambda door: (door, "_read")),
+        ("highway-fast-v0", {}, lambda action_filter: (action_filter.reader, "read")),
+        ("highway-fast-v0", INPUTS, lambda action_filter: (action_filter._reader, "read")),
+        ("roundabout-v1", {}, lambda action_filter: (action_filter, "_read")),
     ],
 )
 @pytest.mark.parametrize("speed", [20.0, 1.0, 0.0, -5.0])
@@ -197,7 +197,7 @@ def test_an_unreadable_scene_brings_the_ego_to_a_standstill(env_id, config, read
     env.reset(seed=0)
     ego = env.unwrapped.vehicle
     env.unwrapped.road.vehicles = [ego]
-    monkeypatch.setattr(*reads(env.door), fail)
+    monkeypatch.setattr(*reads(env.filter), fail)
     ego.speed, lowest = speed, 0.0
     for _ in range(6):
         *_, info = env.step([1.0, 0.0] if config else 3)

@@ -121,7 +121,7 @@ def drive(
     seconds: float = 6.0,
     speed: float = 25.0,
     action: Callable[[int], Any] = lambda k: IDLE,
-    door: str = "env",
+    placement: str = "env",
     config: ShieldConfig | None = None,
     **settings: Any,
 ) -> Outcome:
@@ -130,8 +130,8 @@ def drive(
     Parameters
     ----------
     cast : makes the other vehicles on a road; ends with `Landmark`s and obstacles, if any, in `road.objects`.
-    period : frames a decision. action : what is proposed at each decision. door : "env" or "policy", or "actions", a
-        filter of actions that supervises no frame.
+    period : frames a decision. action : what is proposed at each decision. placement : "env" or "policy", or
+        "actions", a filter of actions that supervises no frame.
     settings : of the environment.
     """
     frequency = {"simulation_frequency": hz, "policy_frequency": hz // period, "duration": 1e3}
@@ -151,11 +151,11 @@ def drive(
     base._create_vehicles = populate
     out, config = Outcome(rules={}), config or ShieldConfig()
     proposed = [IDLE]
-    shielded: Any = ShieldedEnv(env, config) if door == "env" else env
+    shielded: Any = ShieldedEnv(env, config) if placement == "env" else env
     obs, _ = shielded.reset(seed=0)
     shield = None
-    if door != "env":
-        shield = Shield(lambda _: proposed[0], env=env, config=config, frames=door == "policy")
+    if placement != "env":
+        shield = Shield(lambda _: proposed[0], env=env, config=config, frames=placement == "policy")
     own_step = base.road.step
 
     def watched(dt: float) -> None:

@@ -89,7 +89,7 @@ class Audit:
 
     Parameters
     ----------
-    core : of a door for meta-actions or inputs; its `decide` is replaced.
+    core : of a placement for meta-actions or inputs; its `decide` is replaced.
     config : the shield's settings.
     """
 

@@ -38,7 +38,7 @@ class Body(NamedTuple):
 
 
 @cache
-def shielded(env_id, door, speeds=None, **config):
+def shielded(env_id, settings, speeds=None, **config):
     """An environment whose episodes last, without new vehicles at intersections, with one of `SHIELDS`; cached.
 
     `speeds` are the ego's target speeds [m/s], a tuple; the environment's own by default.
@@ -47,18 +47,18 @@ def shielded(env_id, door, speeds=None, **config):
     if speeds is not None:
         finite["action"] = {"type": "DiscreteMetaAction", "target_speeds": list(speeds)}
     made = gym.make(env_id, config={"duration": _LASTS, **finite, **config}, max_episode_steps=_LASTS)
-    return ShieldedEnv(made, SHIELDS[door])
+    return ShieldedEnv(made, SHIELDS[settings])
 
 
-def placed(env_id, door, ego, others=(), driver=IDMVehicle, speeds=None):
+def placed(env_id, settings, ego, others=(), driver=IDMVehicle, speeds=None):
     """`shielded`, reset, with these bodies alone; `driver` is the class of the other vehicles."""
-    env = shielded(env_id, door, speeds, **({"initial_vehicle_count": 1} if "intersection" in env_id else {}))
+    env = shielded(env_id, settings, speeds, **({"initial_vehicle_count": 1} if "intersection" in env_id else {}))
     env.reset(seed=0)
     road = env.unwrapped.road
     road.vehicles, road.objects = [_put(env.unwrapped.vehicle, ego)], []
     for each in others:
         road.vehicles.append(_put(driver(road, road.network.get_lane(each.lane).position(each.s, each.r)), each))
-    env.door.reset()
+    env.filter.reset()
     return env
 
 

@@ -91,7 +91,7 @@ class _Stage:
     def __init__(self, env: ShieldedEnv, rng: np.random.Generator) -> None:
         self.env, self.rng, self.tally = env, rng, Tally()
         self.base: Any = env.unwrapped
-        self.road, self.door = self.base.road, env.door
+        self.road, self.network_filter = self.base.road, env.filter
         self.dt = 1 / self.base.config["simulation_frequency"]
         self.start, self.wants, self.pending = self._count(), {}, (0, False, np.inf)
         self._step, self.road.step = self.road.step, self.frame
@@ -100,7 +100,7 @@ class _Stage:
         return [body for body in self.road.vehicles if isinstance(body, RoadRider) and not body.crashed]
 
     def _count(self) -> int:
-        return int(self.door.violations) - int(self.door.by_rule.get(NetworkRule.UNFORESEEN, 0))
+        return int(self.network_filter.violations) - int(self.network_filter.by_rule.get(NetworkRule.UNFORESEEN, 0))
 
     def settle(self) -> None:
         """The monitor has looked at the present frame: count what was touched in it."""
@@ -126,7 +126,7 @@ class _Stage:
 
     def _measure(self) -> None:
         ego, touched, nearest = self.base.vehicle, 0, np.inf
-        buffer = self.door.config.buffer
+        buffer = self.network_filter.config.buffer
         half, wide = 0.5 * ego.LENGTH, 0.5 * ego.WIDTH
         it = EgoFootprint(*ego.position.tolist(), ego.heading, ego.speed, half, wide, half, wide, False)
         for body in self.road.vehicles:
@@ -134,7 +134,7 @@ class _Stage:
                 continue
             row = np.array([[*body.position, body.heading, body.speed, body.LENGTH, body.WIDTH, 0.0]])
             wanted = gap_between(it, half + buffer.longitudinal, wide + buffer.lateral, row, 0, 0.0)
-            owes = self.door.is_owed_by(body)
+            owes = self.network_filter.is_owed_by(body)
             self.tally.owed += owes and wanted < 0
             gap = gap_between(it, half, wide, row, 0, 0.0) if owes else wanted
             touched += gap < -1e-6
@@ -170,15 +170,15 @@ class _Stage:
 
     def _named(self, riders: list[RoadRider], rows: list[FloatArray]) -> np.ndarray[Any, Any]:
         """Mask of the riders that would be named at their place, or touch another, (n,)."""
-        door, out = self.door, np.zeros(len(riders), bool)
+        network_filter, out = self.network_filter, np.zeros(len(riders), bool)
         for rider, row in zip(riders, rows, strict=True):
             rider.put(row)
-        seen = door._look()
-        load_ego(self.base, door._alone.rules, door._index, door._alone.worlds)
+        seen = network_filter._look()
+        load_ego(self.base, network_filter._alone.rules, network_filter._index, network_filter._alone.worlds)
         margins, late = None, set()
-        if door._stored is not None and not self.base.vehicle.crashed and not door._at_end():
-            margins, late = door._braking.now(door._stored, seen)
-        last = door.watch
+        if network_filter._stored is not None and not self.base.vehicle.crashed and not network_filter._at_end():
+            margins, late = network_filter._braking.now(network_filter._stored, seen)
+        last = network_filter.watch
         watch = replace(
             last,
             breaking=dict(last.breaking),
@@ -186,7 +186,7 @@ class _Stage:
             by_rule=dict(last.by_rule),
             culprits=set(last.culprits),
         )
-        watch.next(seen, set(door._then), margins, door._road, late)
+        watch.next(seen, set(network_filter._then), margins, network_filter._road, late)
         broken = {body for body, rules in watch.breaking.items() if rules - {NetworkRule.UNFORESEEN}}
         for i, rider in enumerate(riders):
             out[i] = rider in broken or any(
@@ -308,7 +308,7 @@ def ride_roads(env_id: str, seed: int, frequency: int = 15) -> Tally:
     env.reset(seed=seed)
     base: Any = env.unwrapped
     _place(base, rng)
-    env.door.reset()
+    env.filter.reset()
     stage, faster = _Stage(env, rng), rng.random() < 0.5
     names = base.action_type.actions_indexes
     while stage.tally.frames < _LONGEST:
@@ -316,7 +316,7 @@ def ride_roads(env_id: str, seed: int, frequency: int = 15) -> Tally:
         *_, terminated, truncated, _ = env.step(action)
         if terminated or truncated or stage.tally.named or not stage.tally.verified:
             break
-    env.door.look()
+    env.filter.look()
     stage.settle()
-    stage.tally.unforeseen = int(env.door.by_rule.get(NetworkRule.UNFORESEEN, 0))
+    stage.tally.unforeseen = int(env.filter.by_rule.get(NetworkRule.UNFORESEEN, 0))
     return stage.tally

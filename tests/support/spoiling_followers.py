@@ -86,6 +86,6 @@ def spoil(env: ShieldedEnv, seed: int) -> None:
             puppet.check_collisions = False
             puppets.append(puppet)
     road.vehicles = [ego, *puppets]
-    env.door.reset()
+    env.filter.reset()
     stage = _Spoiler(env, puppets)
     stage.rng = rng

@@ -145,16 +145,16 @@ def drive_placed(config, ego, other, actions, obstacles=()):
     road.vehicles.append(at(MDPVehicle(road, [0.0, 0.0]), *other))
     for lane, s in obstacles:
         road.objects.append(Obstacle(road, road.network.get_lane(lane).position(s, 0)))
-    env.door.reset()
+    env.filter.reset()
     install_drivers(env, "bold", 1, 0, [(Script([0.99]), Script([0.0]))])
-    referee, tiers = FaultOracle(base, env.door), []
+    referee, tiers = FaultOracle(base, env.filter), []
     for action in actions:
         *_, terminated, truncated, _ = env.step(action)
         tiers.append(env.last_decision.tier)
         if terminated or truncated or referee.over:
             break
     if not referee.over:
-        env.door.frame()
+        env.filter.frame()
     return env, referee, tiers[0]
 
 
@@ -177,8 +177,8 @@ def test_a_wrong_assumption_leads_to_a_violation_before_the_crash(config, crashe
     env, referee, tier = drive_placed(config, ego, follower, [1] * 12, [(lane, 25.0) for lane in lanes])
     assert tier is Tier.PASSED
     assert env.unwrapped.vehicle.crashed is crashes
-    assert ("distance" in env.door.by_rule) is crashes
-    assert "unforeseen" not in env.door.by_rule
+    assert ("distance" in env.filter.by_rule) is crashes
+    assert "unforeseen" not in env.filter.by_rule
     assert referee.clearance >= 0
 
 

@@ -22,12 +22,12 @@ from evaluation.running.records import EpisodeRecord
 from shield.errors import ConfigError
 
 
-def record(seed, door, crashed, **changes):
-    shielded = door != "none"
+def record(seed, placement, crashed, **changes):
+    shielded = placement != "none"
     values = {
         "setting": "highway-fast",
         "policy": "faster",
-        "door": door,
+        "placement": placement,
         "mode": "full" if shielded else "none",
         "seed": seed,
         "crashed": crashed,
@@ -133,7 +133,7 @@ def test_a_comparison_is_paired_by_seed(episodes):
 
 
 def test_a_comparison_needs_unshielded_rows(episodes):
-    assert compare(episodes[episodes["door"] == "env"]).empty
+    assert compare(episodes[episodes["placement"] == "env"]).empty
 
 
 @pytest.mark.parametrize("ending", ["csv", "parquet"])

@@ -109,9 +109,9 @@ def test_the_worst_case_shows_where_others_may_be_and_where_ways_meet(tmp_path, 
 def test_the_prediction_begins_at_the_present_places():
     env = gym.make("roundabout-v1")
     env.reset(seed=1)
-    door = NetworkFilter(env.unwrapped, ShieldConfig.for_roads())
-    door.decide(1)
-    seen, ego = door.foreseen, env.unwrapped.vehicle
+    network_filter = NetworkFilter(env.unwrapped, ShieldConfig.for_roads())
+    network_filter.decide(1)
+    seen, ego = network_filter.foreseen, env.unwrapped.vehicle
     assert np.hypot(*(seen.path[0, :2] - ego.position)) < 2.0
     assert abs(seen.path[-1, 3]) < 1e-6
     assert (seen.least <= seen.most).all()

@@ -198,7 +198,7 @@ def test_a_folder_of_an_earlier_version_becomes_a_store(tmp_path):
         "version of": made["versions"],
     }
     for path in (tmp_path / "parts").glob("*.parquet"):
-        pd.read_parquet(path).drop(columns=["door", *MEASURED]).to_parquet(tmp_path / path.name)
+        pd.read_parquet(path).drop(columns=["placement", *MEASURED]).to_parquet(tmp_path / path.name)
         path.unlink()
     (tmp_path / "manifest.json").unlink()
     (tmp_path / "asked.json").write_text(json.dumps({**made, "asked": old}), encoding="utf-8")

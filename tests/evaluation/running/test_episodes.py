@@ -59,13 +59,13 @@ def test_the_columns_add_up(episodes):
 
 def test_latencies_are_kept_for_each_decision_of_the_shield(episodes):
     for row in episodes.itertuples():
-        expected = 0 if row.door == "none" else row.steps
+        expected = 0 if row.placement == "none" else row.steps
         assert len(row.latencies_ms) == expected
         assert all(x >= 0 for x in row.latencies_ms)
 
 
 def test_unshielded_rows_have_no_margin_and_no_override(episodes):
-    bare = episodes[episodes["door"] == "none"]
+    bare = episodes[episodes["placement"] == "none"]
     assert bare["min_margin"].isna().all()
     assert (bare["overridden"] == 0).all()
     assert (bare["tier_off"] == bare["steps"]).all()
@@ -77,7 +77,7 @@ WHEEL = get_setting("highway-continuous").override({"duration": 10, "vehicles_co
 @pytest.mark.parametrize("policy", ["throttle", "random"])
 def test_throttle_and_steering_are_driven_with_and_without_a_shield(policy):
     frame = run_paired(WHEEL, policy, make_variants(["none", "full"], ["env"]), range(3, 5))
-    bare, shielded = frame[frame["door"] == "none"], frame[frame["door"] == "env"]
+    bare, shielded = frame[frame["placement"] == "none"], frame[frame["placement"] == "env"]
     assert (bare["off_road"] | bare["crashed"]).any(), "the policy is a bad driver"
     assert not (shielded["off_road"] | shielded["crashed"]).any()
     assert (shielded["steps"] >= 100).all()
@@ -104,7 +104,7 @@ def test_random_policies_are_paired_too():
 
 def test_variants_name_each_combination_once():
     variants = make_variants(["none", "full", "none", "ttc"], ["env", "policy"])
-    assert [(v.door, v.mode) for v in variants] == [
+    assert [(v.placement, v.mode) for v in variants] == [
         ("none", "none"),
         ("env", "full"),
         ("policy", "full"),

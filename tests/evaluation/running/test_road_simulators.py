@@ -26,7 +26,7 @@ def row_of(setting, variant, simulator, policy="random"):
 
 @pytest.mark.parametrize("setting", ["roundabout", "intersection", "merge"])
 @pytest.mark.parametrize(
-    "variant", [ShieldVariant(), ShieldVariant(door="actions", config=EXACT)], ids=["bare", "exact"]
+    "variant", [ShieldVariant(), ShieldVariant(placement="actions", config=EXACT)], ids=["bare", "exact"]
 )
 def test_an_episode_has_the_same_record(setting, variant):
     one, other = (row_of(setting, variant, simulator) for simulator in ("highway-env", "compiled"))
@@ -42,7 +42,7 @@ def test_an_episode_off_the_road_has_the_same_record():
 
 
 def test_a_shield_that_supervises_frames_is_driven_in_highway_env():
-    setting, variant = get_setting("roundabout"), ShieldVariant(door="env", config=ShieldConfig.for_roads())
+    setting, variant = get_setting("roundabout"), ShieldVariant(placement="env", config=ShieldConfig.for_roads())
     assert environment(setting, "faster", variant, None, "auto")[0] == "highway-env"
     with pytest.raises(ConfigError, match="one by one"):
         environment(setting, "faster", variant, None, "compiled")

@@ -49,7 +49,7 @@ def test_observations_at_each_frame_are_the_same_in_both(sensor, order):
             ShieldVariant(),
         ),
     ],
-    ids=["door", "road", "policy"],
+    ids=["placement", "road", "policy"],
 )
 def test_an_episode_that_is_not_compiled_is_driven_in_highway_env(setting, policy, variant):
     assert run_episode(setting, policy, variant, seed=1).simulator == "highway-env"

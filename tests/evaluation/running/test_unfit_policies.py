@@ -58,10 +58,10 @@ CASES = [
 def test_no_row_is_driven_by_a_model_that_does_not_fit(models, name, env_id, config, message, tmp_path):
     model, path = models[name]
     setting = Setting("mine", env_id, config)
-    for door in PLACEMENTS:
+    for placement in PLACEMENTS:
         for policy in (model, path):
             with pytest.raises(PolicyError, match=message):
-                run_episode(setting, policy, ShieldVariant(door))
+                run_episode(setting, policy, ShieldVariant(placement))
     with pytest.raises(PolicyError, match=message):
         certify(CertifyRun(setting, path, 1, 50, ShieldConfig()), tmp_path)
     env = gym.make(env_id, config=config)
@@ -76,7 +76,7 @@ def test_no_row_is_driven_by_a_model_that_does_not_fit(models, name, env_id, con
     "command",
     [
         ["evaluate", "--shield", "none", "--episodes", "1"],
-        ["evaluate", "--shield", "full", "--door", "all", "--episodes", "1", "--jobs", "1"],
+        ["evaluate", "--shield", "full", "--placement", "all", "--episodes", "1", "--jobs", "1"],
         ["certify", "{folder}/parts", "--episodes", "1"],
         ["replay", "5"],
         ["film", "{folder}/film.gif"],

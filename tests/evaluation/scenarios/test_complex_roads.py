@@ -281,5 +281,5 @@ def test_the_shield_predicts_the_traffic():
     while not done:
         observation, _, terminated, truncated, _ = env.step(int(shield.predict(observation)[0]))
         done = terminated or truncated
-    assert shield._doors[0].violations == 0
+    assert shield._filters[0].violations == 0
     assert not env.unwrapped.vehicle.crashed

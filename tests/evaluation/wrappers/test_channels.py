@@ -184,7 +184,7 @@ def test_a_shield_around_the_environment_looks_below_the_channels():
         assert obs.shape == (15, 7)
         assert shielded.last_decision.reason is not Reason.BAD_SCENE
         assert all(each.reason is not Reason.BAD_SCENE for each in shielded.frame_decisions)
-    assert shielded.door.reader.perception.config.noise == (0.5, 0.5, 0.5, 0.5)
+    assert shielded.filter.reader.perception.config.noise == (0.5, 0.5, 0.5, 0.5)
 
 
 def test_a_policy_that_learned_with_the_channels_is_shielded_from_its_environment_alone():

@@ -127,7 +127,7 @@ def test_an_unseen_vehicle_is_assumed_beyond_the_range():
     """The shield assumes a slow vehicle right beyond the range, and its guarantee is reduced."""
     env = ShieldedEnv(make(SENSORS["range-60"]), perception="observation")
     env.reset(seed=0)
-    reader = env.door.reader
+    reader = env.filter.reader
     scene = reader.read()
     assert reader.perception.edges == (60.0, 60.0)
     phantoms = scene.others_road[scene.ids < 0]

@@ -94,15 +94,15 @@ def test_supervised_frames_are_observed_through_the_sensor():
     asked.clear()
     shielded.step(3)
     assert set(asked) >= {1, 2, 3, 4, 5}
-    assert shielded.door.reader.perception.config.noise == (0.5, 0.5, 0.5, 0.5)
+    assert shielded.filter.reader.perception.config.noise == (0.5, 0.5, 0.5, 0.5)
 
 
 @pytest.mark.parametrize("seed", range(500, 502))
 def test_the_shielded_ego_does_not_crash_with_half_a_metre_of_noise(seed):
-    variant = ShieldVariant(door="env", perception="observation")
+    variant = ShieldVariant(placement="env", perception="observation")
     record = run_episode("highway-fast-seen", "faster", variant, seed, sensor="metric-0.5")
     assert not record.crashed
-    assert record.door == "env, observation"
+    assert record.placement == "env, observation"
 
 
 @pytest.mark.parametrize(

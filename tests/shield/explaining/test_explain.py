@@ -52,16 +52,16 @@ def actions_of(env, seed):
     return [np.clip(rng.normal(0.7, 0.5, space.shape), -1, 1).astype(np.float32) for _ in range(100)]
 
 
-def records(name, door, seed, ask=True):
+def records(name, placement, seed, ask=True):
     """For each step of an episode the record, and its explanation if requested."""
     env_id, settings, config, perception = CELLS[name]
     bare = gym.make(env_id, config=settings)
     plan = actions_of(bare, seed)
-    if door == "env":
+    if placement == "env":
         env, shield = ShieldedEnv(bare, config, perception=perception), None
     else:
         env = bare
-        shield = Shield(Playback(plan), bare, config, frames=door == "policy", perception=perception)
+        shield = Shield(Playback(plan), bare, config, frames=placement == "policy", perception=perception)
     obs, _ = env.reset(seed=seed)
     for action in plan:
         if shield is not None:
@@ -77,20 +77,20 @@ def records(name, door, seed, ask=True):
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(
-    ("name", "door"),
+    ("name", "placement"),
     [
-        (name, door)
+        (name, placement)
         for name in CELLS
-        for door in ("env", "policy", "actions")
+        for placement in ("env", "policy", "actions")
         # `Shield` of actions alone is refused where every frame is verified.
-        if not (door == "actions" and name in ("roundabout", "merge", "highway, simulated inputs"))
+        if not (placement == "actions" and name in ("roundabout", "merge", "highway, simulated inputs"))
     ],
 )
-def test_every_override_names_its_vehicle_and_a_number(name, door):
+def test_every_override_names_its_vehicle_and_a_number(name, placement):
     """A refusal had no explanation once: `clause` and `vehicle` are those of the executed action."""
     told = 0
     for seed in range(912_100, 912_102):
-        for record, why, base in records(name, door, seed):
+        for record, why, base in records(name, placement, seed):
             if not record.overridden and not record.tier.fallback:
                 assert why.refused == ""
                 assert "executed as proposed" in why.text
@@ -116,21 +116,21 @@ def test_every_override_names_its_vehicle_and_a_number(name, door):
                 assert why.cause.kind == type(why.cause.vehicle).__name__
             if not why.clause.startswith("rule"):
                 assert 0 <= why.after <= 30
-    assert told or door == "actions"
+    assert told or placement == "actions"
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("door", ["env", "policy"])
+@pytest.mark.parametrize("placement", ["env", "policy"])
 @pytest.mark.parametrize(
     "name", ["highway", "highway, inputs", "highway, simulated", "highway, simulated inputs", "roundabout", "parking"]
 )
-def test_an_explanation_changes_no_decision(name, door):
+def test_an_explanation_changes_no_decision(name, placement):
     """The explanation has its own buffers: the next decision is the same as without it."""
 
     def driven(ask):
         return [
             (str(record.executed), record.tier, record.margin, record.frames_overridden)
-            for record, _, _ in records(name, door, 912_200, ask)
+            for record, _, _ in records(name, placement, 912_200, ask)
         ]
 
     assert str(driven(True)) == str(driven(False))

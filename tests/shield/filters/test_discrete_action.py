@@ -58,14 +58,14 @@ def test_the_nearest_number_is_nearest(acceleration, wheel, count):
 
 
 @pytest.mark.parametrize("config", [ShieldConfig(), EXACT], ids=["certificate", "exact"])
-@pytest.mark.parametrize("door", ["env", "policy"])
-def test_full_throttle_does_not_crash(config, door):
+@pytest.mark.parametrize("placement", ["env", "policy"])
+def test_full_throttle_does_not_crash(config, placement):
     """The executed action is a number again; between decisions, the frames get the verified inputs."""
     env, action = make(policy_frequency=5), 7
-    if door == "env":
+    if placement == "env":
         env = ShieldedEnv(env, config)
     obs, _ = env.reset(seed=11)
-    shield = Shield(Always(action), env, config) if door == "policy" else None
+    shield = Shield(Always(action), env, config) if placement == "policy" else None
     for _ in range(60):
         taken = action if shield is None else shield.predict(obs)[0]
         assert np.issubdtype(np.asarray(taken).dtype, np.integer)
@@ -99,7 +99,7 @@ def test_a_drive_on_complex_roads_matches_its_prediction():
         rng = np.random.default_rng(seed)
         for _ in range(40):
             *_, terminated, _, info = env.step(int(rng.integers(45)))
-            assert not env._door._scene.surprised
+            assert not env._filter._scene.surprised
             assert env.unwrapped.vehicle.on_road
             assert info["shield"]["violations"] == 0
             if terminated:

@@ -39,20 +39,20 @@ def shielded(env_id, seed=0, wild=0, config="worst-case", drivers="wild"):
 
 def frames(env, action=None):
     """Drive an episode; before each decided frame yield the true clearance [m] and the filter."""
-    seen, door, base = [], env._door, env.unwrapped
-    ask = door.frame
+    seen, network_filter, base = [], env._filter, env.unwrapped
+    ask = network_filter.frame
 
     def frame():
         command, decision = ask()
-        seen.append((gap(base, env.config.buffer, base.vehicle), decision, copy(door.watch.by_rule)))
+        seen.append((gap(base, env.config.buffer, base.vehicle), decision, copy(network_filter.watch.by_rule)))
         return command, decision
 
-    door.frame = frame
+    network_filter.frame = frame
     for _ in range(STEPS):
         *_, terminated, truncated, _ = env.step(env.action_space.sample() if action is None else action)
         if terminated or truncated:
             break
-    door.frame = ask
+    network_filter.frame = ask
     return seen
 
 
@@ -66,7 +66,7 @@ def test_any_behaviour_is_a_violation_or_leaves_the_plan_clear(env_id, seed, dri
     occurs, and the ego is hit only after a violation."""
     env = shielded(env_id, seed, wild=6, drivers=drivers)
     seen = frames(env)
-    watch = env._door.watch
+    watch = env._filter.watch
     assert NetworkRule.UNFORESEEN not in watch.by_rule
     assert not env.unwrapped.vehicle.crashed or watch.count > 0
     for _, decision, _ in seen:
@@ -82,7 +82,7 @@ def test_any_behaviour_is_a_violation_or_harmless_with_right_of_way(env_id, driv
     way."""
     env = shielded(env_id, seed, 8, ShieldConfig.for_roads(6.0, env_id != "merge-v1", True), drivers)
     frames(env)
-    by_rule = env.door.by_rule
+    by_rule = env.filter.by_rule
     assert NetworkRule.UNFORESEEN not in by_rule
     assert not env.unwrapped.vehicle.crashed or by_rule
     assert drivers == "wild" or NetworkRule.RIGHT_OF_WAY not in by_rule
@@ -100,13 +100,13 @@ def test_a_vehicle_that_has_to_wait_and_does_not_is_a_violator(waits):
     ego.lane_index = ego.target_lane_index = ("se", "ex", 0)
     ego.lane, ego.route = ring, None
     comes = Comes(road, entry.position(112.0, 0.0), entry.heading_at(0.0), 8.0)
-    comes.door, comes.waits = env.door, waits
+    comes.filter, comes.waits = env.filter, waits
     road.vehicles = [ego, comes]
-    env.door.reset()
+    env.filter.reset()
     for _ in range(4):
         env.step(1)
-    assert (env.door.by_rule.get(NetworkRule.RIGHT_OF_WAY, 0) > 0) != waits
-    assert NetworkRule.UNFORESEEN not in env.door.by_rule
+    assert (env.filter.by_rule.get(NetworkRule.RIGHT_OF_WAY, 0) > 0) != waits
+    assert NetworkRule.UNFORESEEN not in env.filter.by_rule
     assert not ego.crashed or not waits
 
 
@@ -114,7 +114,7 @@ class Comes(Vehicle):
     """Straight on at constant speed, and where it `waits` braking when it must."""
 
     def act(self, action=None):
-        brakes = self.waits and self.door.counts_on(self)
+        brakes = self.waits and self.filter.counts_on(self)
         super().act({"acceleration": max(-6.0, -15 * self.speed) if brakes else 0.0, "steering": 0.0})
 
 
@@ -124,24 +124,24 @@ def test_the_ego_is_hit_or_off_the_road_only_after_a_violation(env_id, seed):
     env = shielded(env_id, seed)
     frames(env)
     ego = env.unwrapped.vehicle
-    assert (ego.on_road and not ego.crashed) or env._door.watch.count > 0
+    assert (ego.on_road and not ego.crashed) or env._filter.watch.count > 0
 
 
 @pytest.mark.parametrize("env_id", ROADS)
 def test_the_driven_path_is_the_verified_path(env_id):
     """To the bit, whatever other vehicles are there."""
     env = shielded(env_id, 1)
-    door, ego, expected, ask = env._door, env.unwrapped.vehicle, [], env._door.frame
+    network_filter, ego, expected, ask = env._filter, env.unwrapped.vehicle, [], env._filter.frame
 
     def frame():
         now = [*ego.position, ego.heading, ego.speed]
         if expected:
             assert now == expected
         answer = ask()
-        expected[:] = door._trial.path[1].tolist()
+        expected[:] = network_filter._trial.path[1].tolist()
         return answer
 
-    door.frame = frame
+    network_filter.frame = frame
     for _ in range(6):
         if any(env.step(env.action_space.sample())[2:4]):
             break
@@ -176,11 +176,11 @@ def test_a_replacement_on_a_network_is_verified():
 def test_both_wrappers_decide_alike_on_a_network():
     """`Shield` filters the frames as `ShieldedEnv` does."""
     driven = []
-    for door in ("env", "policy"):
+    for network_filter in ("env", "policy"):
         env = gym.make("roundabout-v1")
-        if door == "env":
+        if network_filter == "env":
             env = ShieldedEnv(env, "worst-case")
-        policy = Always(3) if door == "env" else Shield(Always(3), env, "worst-case")
+        policy = Always(3) if network_filter == "env" else Shield(Always(3), env, "worst-case")
         obs, _ = env.reset(seed=5)
         for _ in range(5):
             obs, *_ = env.step(policy.predict(obs)[0])
@@ -215,8 +215,8 @@ def test_a_coming_push_by_highway_env_does_not_change_the_judgement(env_id):
         for _ in range(2):
             env.step(1)
         env.unwrapped.vehicle.impact = impact
-        env.door.frame()
-        kept.append(list(env.door.kept.values()))
+        env.filter.frame()
+        kept.append(list(env.filter.kept.values()))
     assert kept[0] == kept[1]
     assert np.isfinite(kept[0]).any()
 
@@ -225,11 +225,11 @@ def test_no_guarantee_is_given_before_a_plan_verifies():
     """Too near to a vehicle at the reset, at more than twice its speed, on a single lane."""
     entry = ("ser", "ses", 0)
     env = placed("roundabout-v1", "worst case", Body(entry, 80.0, 20.0, "nxs"), [Body(entry, 90.0, 8.0, "nxs")])
-    blameless, done = record_blameless_crash(env.unwrapped, env.door), False
+    blameless, done = record_blameless_crash(env.unwrapped, env.filter), False
     while not done:
         *_, terminated, truncated, info = env.step(1)
         done = terminated or truncated
-    del env.door.frame
+    del env.filter.frame
     assert info["crashed"]
     assert blameless == [False]
 
@@ -261,11 +261,11 @@ def test_a_scene_that_cannot_be_read_is_braked_in():
     env = shielded("roundabout-v1", 0)
     env.step(1)
     env.unwrapped.road.vehicles[-1].speed, ego = np.nan, env.unwrapped.vehicle
-    decision = env._door.decide(1)
+    decision = env._filter.decide(1)
     assert decision.reason is Reason.BAD_SCENE
     assert decision.tier is Tier.EMERGENCY
-    assert "not finite" in env._door.cause
-    command, decision = env._door.frame()
+    assert "not finite" in env._filter.cause
+    command, decision = env._filter.frame()
     assert command["acceleration"] == -min(9.8, 15 * ego.speed)
     assert decision.tier is Tier.EMERGENCY
 
@@ -292,7 +292,7 @@ def test_masks_on_a_network_hold_the_actions_that_pass():
 
 def test_the_worst_case_has_the_settings_for_its_traffic():
     """Those of intersections accelerate harder, and the settings say so."""
-    assert isinstance(shielded("roundabout-v1")._door, NetworkFilter)
+    assert isinstance(shielded("roundabout-v1")._filter, NetworkFilter)
     assert shielded("intersection-v0").config == ShieldConfig.for_roads(6.0)
     assert shielded("roundabout-v1").config.assumptions.considers_connected_lanes
     assert ShieldConfig.profile("roads") == ShieldConfig.for_roads()

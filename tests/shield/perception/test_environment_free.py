@@ -170,7 +170,7 @@ def test_the_target_command_is_known_after_an_unreadable_observation():
     for k in range(6):
         action, _ = shielded.predict(np.full_like(obs, np.nan) if k == 2 else obs, episode_start=np.array([k == 0]))
         assert (shielded.last_decision.reason is Reason.BAD_SCENE) is (k == 2)
-        control = shielded._doors[0].reader._target
+        control = shielded._filters[0].reader._target
         obs, *_ = env.step(int(action))
         ego = env.unwrapped.vehicle
         assert (control.lane, control.speed) == (ego.target_lane_index[2], ego.target_speed)

@@ -110,7 +110,7 @@ def test_an_episode_is_the_same_with_the_formulas(sensor, monkeypatch):
         seen = []
         for _ in range(6):
             env.step(3)
-            scene = env.door.reader.read()
+            scene = env.filter.reader.read()
             seen.append((env.last_decision.executed, scene.others))
         found.append(seen)
     for (one, others), (other, same) in zip(*found, strict=True):

@@ -29,7 +29,7 @@ def driven(sensor, decisions, seed=0, **config):
         *_, terminated, truncated, _ = env.step(3)
         if terminated or truncated:
             env.reset(seed=seed + 1)
-    return env, env.door.reader.perception
+    return env, env.filter.reader.perception
 
 
 # -- how noisy it is -------------------------------------------------------------------------------------------
@@ -49,7 +49,7 @@ def test_bounds_of_estimated_noise_are_those_of_given_noise():
     widths = []
     for config in ({"noise": "estimate"}, {}):
         env, _ = driven("metric-2", 12, **config)
-        scene = env.door.reader.read()
+        scene = env.filter.reader.read()
         widths.append(np.median(scene.others[scene.ids >= 0, 4]) - 5.0)
     assert widths[0] == pytest.approx(widths[1], rel=0.3)
 
@@ -97,7 +97,7 @@ def test_the_estimate_is_carried_to_the_next_episode_if_configured(carry):
     learned = perception.learned
     assert learned.noise.count > 20
     env.reset(seed=5)
-    again = env.door.reader
+    again = env.filter.reader
     again.read()
     now = again.perception.learned
     assert (now.noise.count >= learned.noise.count) == carry
@@ -193,7 +193,7 @@ def test_observations_older_than_a_decision_do_not_count_for_the_alarm():
 def test_a_changed_sensor_gets_the_widest_bounds_and_no_guarantee():
     env, perception = driven("metric-2", 3, monitor=True)
     assert not env.last_decision.alarm
-    before = env.door.reader.read()
+    before = env.filter.reader.read()
     env.env._shares = 3.0 * env.env._shares
     *_, info = env.step(3)
     env.step(3)
@@ -202,7 +202,7 @@ def test_a_changed_sensor_gets_the_widest_bounds_and_no_guarantee():
     assert perception.rating == (Guarantee.NONE, 0.0)
     assert env.last_decision.sight is env.last_decision.guarantee is Guarantee.NONE
     assert info["shield"]["guarantee"] == "none"
-    scene = env.door.reader.read()
+    scene = env.filter.reader.read()
     assert (scene.ids == -1).all()
     assert np.median(scene.others[:, 4]) > np.median(before.others[:, 4]) + 4.0
     env, perception = driven("metric-2", 3)

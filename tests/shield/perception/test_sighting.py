@@ -117,7 +117,7 @@ def test_an_unreadable_observation_is_an_error_and_falls_back(bad):
         decode(ObservationSpec(), bad)
     env = ShieldedEnv(gym.make("highway-fast-v0"), perception="observation")
     env.reset(seed=0)
-    env._door.show(bad)
-    decision = env._door.decide(3)
+    env._filter.show(bad)
+    decision = env._filter.decide(3)
     assert decision.reason is Reason.BAD_SCENE
     assert decision.tier is Tier.EMERGENCY

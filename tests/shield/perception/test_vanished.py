@@ -143,8 +143,8 @@ def test_a_reset_forgets_vanished_vehicles():
     blind_from(env, 10)
     for _ in range(4):
         env.step(1)
-    assert isinstance(env.door.reader.perception, ObservationPerception)
-    assert len(env.door.reader.perception.vanished) > 0
+    assert isinstance(env.filter.reader.perception, ObservationPerception)
+    assert len(env.filter.reader.perception.vanished) > 0
     env.reset(seed=1)
     env.step(1)
     assert not env.last_decision.alarm

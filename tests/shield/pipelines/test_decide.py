@@ -91,9 +91,9 @@ def recorded(case, count, monkeypatch):
 
 def procedures(shielded):
     """The procedures of a filter, by name."""
-    doors = shielded._doors if isinstance(shielded, Shield) else [shielded._door]
-    kinds = [door.core.procedure for door in doors] + [
-        door._frames for door in doors if isinstance(door, MetaActionFilter)
+    action_filters = shielded._filters if isinstance(shielded, Shield) else [shielded._filter]
+    kinds = [action_filter.core.procedure for action_filter in action_filters] + [
+        action_filter._frames for action_filter in action_filters if isinstance(action_filter, MetaActionFilter)
     ]
     return {type(each).__name__: each for each in kinds}
 

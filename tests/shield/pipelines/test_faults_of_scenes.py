@@ -148,18 +148,18 @@ def test_a_stage_that_computes_nan_verifies_nothing_for_predict(seed, spy, frame
     assert (shield.last_decision.reason, shield.last_decision.tier) == (Reason.NO_SAFE_PLAN, tier)
 
 
-@pytest.mark.parametrize("door", ["env", "predict"])
-def test_rollouts_that_are_nan_do_not_pass_on_an_empty_road(door, monkeypatch):
+@pytest.mark.parametrize("placement", ["env", "predict"])
+def test_rollouts_that_are_nan_do_not_pass_on_an_empty_road(placement, monkeypatch):
     break_rollouts(monkeypatch)
     spy = spied(vehicles_count=0)
     obs, _ = spy.reset(seed=0)
     shield = Shield(Policy(3), env=spy)
     env = ShieldedEnv(spy)
-    if door == "env":
+    if placement == "env":
         env.reset(seed=0)
     with np.errstate(all="ignore"):
-        env.step(3) if door == "env" else shield.predict(obs)
-    last = env.last_decision if door == "env" else shield.last_decision
+        env.step(3) if placement == "env" else shield.predict(obs)
+    last = env.last_decision if placement == "env" else shield.last_decision
     assert last.tier.fallback
     assert last.reason == Reason.NO_SAFE_PLAN
 

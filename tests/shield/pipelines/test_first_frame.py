@@ -43,7 +43,7 @@ def driven(actions):
     for action in actions:
         info = env.step(action)[-1]
         found.append((env.decisions[0], list(env.frame_decisions), info["shield"]))
-    assert env.door.violations == 0
+    assert env.filter.violations == 0
     return found
 
 
@@ -86,4 +86,4 @@ def test_an_ego_of_another_length_is_refused():
     env.unwrapped.vehicle.LENGTH = 8.0
     assert env.step(1)[-1]["shield"]["reason"] == "bad_scene"
     with pytest.raises(SceneError, match="8 m long"):
-        env.door.reader.check()
+        env.filter.reader.check()

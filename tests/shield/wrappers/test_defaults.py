@@ -106,15 +106,15 @@ def test_unknown_traffic_is_warned_of_at_construction(caplog):
         assert part in said
 
 
-@pytest.mark.parametrize("door", ["env", "policy"])
-def test_a_reset_that_changes_the_traffic_changes_the_settings(door):
+@pytest.mark.parametrize("placement", ["env", "policy"])
+def test_a_reset_that_changes_the_traffic_changes_the_settings(placement):
     """Traffic that is no longer known left every decision without a scene."""
     env = gym.make("merge-v0")
-    shielded = ShieldedEnv(env) if door == "env" else Shield(lambda observation: 1, env)
+    shielded = ShieldedEnv(env) if placement == "env" else Shield(lambda observation: 1, env)
     before = {"other_vehicles_type": env.unwrapped.config["other_vehicles_type"]}
     for config, kind in ((UNKNOWN, Verification.WORST_CASE), (before, Verification.SIMULATED)):
         env.unwrapped.config.update(config)
-        if door == "env":
+        if placement == "env":
             shielded.reset(seed=1)
             *_, info = shielded.step(1)
             report = info["shield"]

@@ -144,18 +144,18 @@ BAD_SCORES = {
 
 
 @pytest.mark.parametrize("scores", BAD_SCORES.values(), ids=BAD_SCORES)
-@pytest.mark.parametrize("door", ["env", "predict"])
-def test_scores_that_break_do_not_stop_an_override(scores, door):
+@pytest.mark.parametrize("placement", ["env", "predict"])
+def test_scores_that_break_do_not_stop_an_override(scores, placement):
     overridden = 0
     inner = spied()
-    env = ShieldedEnv(inner, policy=Scored(scores)) if door == "env" else inner
-    policy = Scored(scores) if door == "env" else Shield(Scored(scores), env=env)
+    env = ShieldedEnv(inner, policy=Scored(scores)) if placement == "env" else inner
+    policy = Scored(scores) if placement == "env" else Shield(Scored(scores), env=env)
     obs, _ = env.reset(seed=0)
     done = False
     while not done:
         obs, _, terminated, truncated, _ = env.step(policy.predict(obs)[0])
         done = terminated or truncated
-        last = env.last_decision if door == "env" else policy.last_decision
+        last = env.last_decision if placement == "env" else policy.last_decision
         overridden += last.overridden
     assert all(inner.action_space.contains(int(a)) for a in inner.seen)
     assert overridden

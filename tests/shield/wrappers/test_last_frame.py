@@ -23,25 +23,25 @@ def jumps(at):
 
 @pytest.mark.parametrize("hz", [5, 15])
 @pytest.mark.parametrize("period", [1, 5])
-@pytest.mark.parametrize("door", ["env", "policy"])
-def test_a_violation_that_ends_the_episode_is_reported(hz, period, door):
+@pytest.mark.parametrize("placement", ["env", "policy"])
+def test_a_violation_that_ends_the_episode_is_reported(hz, period, placement):
     """The leader is moved onto the ego in the last frame of a decision."""
     last = 2 * period - 1
-    out = drive(lambda road: [Driven(road, 40.0, 1, 25.0, jumps(last))], hz, period, seconds=4.0, door=door)
+    out = drive(lambda road: [Driven(road, 40.0, 1, 25.0, jumps(last))], hz, period, seconds=4.0, placement=placement)
     assert out.verified
     assert out.crashed
     assert out.rules.get("way") == 1
     assert out.violations == 1
 
 
-@pytest.mark.parametrize("door", ["env", "policy"])
-def test_a_violation_is_reported_once(door):
+@pytest.mark.parametrize("placement", ["env", "policy"])
+def test_a_violation_is_reported_once(placement):
     """The leader is faster for a moment than permitted, without consequences."""
 
     def act(own, frame):
         own.speed += {3: 5.0, 4: -5.0}.get(frame, 0.0)
 
-    out = drive(lambda road: [Driven(road, 80.0, 1, 25.0, act)], 5, 1, seconds=2.0, door=door)
+    out = drive(lambda road: [Driven(road, 80.0, 1, 25.0, act)], 5, 1, seconds=2.0, placement=placement)
     assert out.violations == 1
 
 
@@ -55,16 +55,16 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("door", ["env", "policy"])
-def test_a_violation_in_the_last_frame_is_reported_for_every_verification(case, door):
+@pytest.mark.parametrize("placement", ["env", "policy"])
+def test_a_violation_in_the_last_frame_is_reported_for_every_verification(case, placement):
     """A vehicle is moved onto the ego in the last frame of an episode."""
     name, config, shield = CASES[case]
     env = gym.make(name, config={"policy_frequency": 15, **config}, disable_env_checker=True)
     action = 1 if "action" not in config else np.zeros(2, np.float32)
-    wrapped = ShieldedEnv(env, shield) if door == "env" else env
+    wrapped = ShieldedEnv(env, shield) if placement == "env" else env
     obs, _ = wrapped.reset(seed=0)
     base = env.unwrapped
-    policy = None if door == "env" else Shield(lambda _: action, env=env, config=shield)
+    policy = None if placement == "env" else Shield(lambda _: action, env=env, config=shield)
     told = 0
     for k in range(3):
         chosen = action if policy is None else policy.predict(obs)[0]

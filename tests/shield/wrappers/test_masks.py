@@ -23,8 +23,8 @@ def told(env_id, shield, asks, within=False):
     env, reports = ShieldedEnv(gym.make(env_id), shield), []
     env.reset(seed=4)
     if within:
-        door, frame = env.door, env.door.frame
-        door.frame = lambda: (door.mask(), frame())[1]
+        action_filter, frame = env.filter, env.filter.frame
+        action_filter.frame = lambda: (action_filter.mask(), frame())[1]
     for k in range(8):
         if k % 3 == 1:
             for body in env.unwrapped.road.vehicles[1:]:
@@ -38,8 +38,8 @@ def told(env_id, shield, asks, within=False):
     places = [(*v.position, v.heading, v.speed) for v in env.unwrapped.road.vehicles]
     if asks:
         env.action_masks()
-    foreseen = env.door.foreseen if hasattr(env.door, "foreseen") else ()
-    return reports, env.door.violations, env.door.by_rule, places, str(foreseen)
+    foreseen = env.filter.foreseen if hasattr(env.filter, "foreseen") else ()
+    return reports, env.filter.violations, env.filter.by_rule, places, str(foreseen)
 
 
 @pytest.mark.parametrize("world", WORLDS)

@@ -23,7 +23,7 @@ from shield.pipelines.parking_lot import ParkingLotPipeline
 FULL = np.array([1.0, 0.0], dtype=np.float32)
 SHORT = replace(get_setting("parking-parked"), config={"vehicles_count": 10, "duration": 6})
 (BARE,) = make_variants(["none"], ["env"])
-WRAPPERS = {door: make_variants(["full"], [door])[0] for door in ("env", "policy")}
+WRAPPERS = {placement: make_variants(["full"], [placement])[0] for placement in ("env", "policy")}
 
 
 class Random:
@@ -52,11 +52,11 @@ def lot_env(seed=0, config=None, **changes):
     return env
 
 
-@pytest.mark.parametrize("door", WRAPPERS)
+@pytest.mark.parametrize("placement", WRAPPERS)
 @pytest.mark.parametrize("seed", [1, *later(4)])
-def test_full_throttle_crashes_without_the_shield_and_never_with_it(door, seed):
+def test_full_throttle_crashes_without_the_shield_and_never_with_it(placement, seed):
     assert run_episode(SHORT, Always(FULL), BARE, seed=seed).crashed
-    record = run_episode(SHORT, Always(FULL), WRAPPERS[door], seed=seed)
+    record = run_episode(SHORT, Always(FULL), WRAPPERS[placement], seed=seed)
     assert not record.crashed
     assert record.steps >= 30
     assert record.overridden > 0
@@ -65,19 +65,19 @@ def test_full_throttle_crashes_without_the_shield_and_never_with_it(door, seed):
     assert record.violations == 0
 
 
-@pytest.mark.parametrize("door", WRAPPERS)
+@pytest.mark.parametrize("placement", WRAPPERS)
 @pytest.mark.parametrize("seed", [2, 3])
-def test_random_inputs_never_hit_anything(door, seed):
-    record = run_episode(SHORT, Random(seed), WRAPPERS[door], seed=seed)
+def test_random_inputs_never_hit_anything(placement, seed):
+    record = run_episode(SHORT, Random(seed), WRAPPERS[placement], seed=seed)
     assert not record.crashed
     assert record.min_gap >= 0.1 - 1e-6
     assert set(record.tiers) <= {"passed", "governed", "stored_plan"}
 
 
-@pytest.mark.parametrize("door", WRAPPERS)
+@pytest.mark.parametrize("placement", WRAPPERS)
 @pytest.mark.parametrize("name", ["parking", "parking-parked"])
-def test_a_planner_parks_behind_the_shield_as_it_does_without(door, name):
-    bare, shielded = (run_episode(name, "cem-oracle", v, seed=13) for v in (BARE, WRAPPERS[door]))
+def test_a_planner_parks_behind_the_shield_as_it_does_without(placement, name):
+    bare, shielded = (run_episode(name, "cem-oracle", v, seed=13) for v in (BARE, WRAPPERS[placement]))
     assert bare.success
     assert shielded.success
     assert not shielded.crashed
@@ -201,11 +201,11 @@ def test_an_episode_begins_with_nothing_remembered():
     observation, _ = base.reset(seed=0)
     shielded = Shield(Random(), base)
     shielded.predict(observation)
-    assert shielded._doors[0].core.memory.stored is not None
+    assert shielded._filters[0].core.memory.stored is not None
     observation, _ = base.reset(seed=1)
     shielded.policy = Always(np.array([np.nan, 0.0]))
     shielded.predict(observation)
-    assert shielded._doors[0].core.memory.stored is None
+    assert shielded._filters[0].core.memory.stored is None
 
 
 @pytest.mark.parametrize(

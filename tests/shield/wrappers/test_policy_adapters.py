@@ -43,10 +43,10 @@ class Returns:
         return self.action, state
 
 
-def drive(kind, action, door, config=None, steps=6):
+def drive(kind, action, placement, config=None, steps=6):
     """Drive a policy of one constant action: the records of each step, and whether the ego crashed."""
     env = make(duration=steps, **CONFIGS[kind])
-    shielded = ShieldedEnv(env, config) if door == "env" else None
+    shielded = ShieldedEnv(env, config) if placement == "env" else None
     shield = None if shielded is not None else Shield(Returns(action), env, config)
     obs, _ = (shielded or env).reset(seed=3)
     records, done = [], False
@@ -65,33 +65,33 @@ def drive(kind, action, door, config=None, steps=6):
 
 
 @pytest.mark.parametrize(
-    ("kind", "form", "door"),
+    ("kind", "form", "placement"),
     [
-        (kind, form, door)
+        (kind, form, placement)
         for kind in EAGER
         for form in FORMS
-        for door in ("env", "policy")
+        for placement in ("env", "policy")
         # A batch of one row is for `predict()`; an environment takes one action.
-        if (kind, form, door) != ("inputs", "in a list", "env")
+        if (kind, form, placement) != ("inputs", "in a list", "env")
     ],
 )
-def test_lists_and_tuples_are_actions_as_arrays_are(kind, form, door):
+def test_lists_and_tuples_are_actions_as_arrays_are(kind, form, placement):
     """A policy that returned a list was good until the first override, at which `Shield` raised."""
-    records, crashed = drive(kind, FORMS[form](EAGER[kind]), door)
-    plain, _ = drive(kind, np.float32(EAGER[kind]) if kind == "inputs" else EAGER[kind], door)
+    records, crashed = drive(kind, FORMS[form](EAGER[kind]), placement)
+    plain, _ = drive(kind, np.float32(EAGER[kind]) if kind == "inputs" else EAGER[kind], placement)
     assert any(record.overridden for record in records)
     assert not crashed
     assert [record.tier for record in records] == [record.tier for record in plain]
     assert Reason.BAD_ACTION not in {record.reason for record in records}
 
 
-@pytest.mark.parametrize("door", ["env", "policy"])
+@pytest.mark.parametrize("placement", ["env", "policy"])
 @pytest.mark.parametrize("wrong", WRONG)
 @pytest.mark.parametrize("kind", EAGER)
-def test_an_invalid_action_gets_the_documented_fallback(kind, wrong, door):
+def test_an_invalid_action_gets_the_documented_fallback(kind, wrong, placement):
     """`Shield` once raised a ConfigError for actions of another shape, while `ShieldedEnv` fell back on
     `bad_action`."""
-    records, crashed = drive(kind, WRONG[wrong], door, ShieldConfig(patience=0), steps=3)
+    records, crashed = drive(kind, WRONG[wrong], placement, ShieldConfig(patience=0), steps=3)
     assert {record.reason for record in records} <= {Reason.BAD_ACTION, Reason.POLICY_FAILED}
     assert all(record.overridden or record.tier.fallback for record in records)
     assert not crashed

@@ -136,13 +136,13 @@ UNSUPPORTED = [
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(("name", "kind"), UNSUPPORTED)
 @pytest.mark.parametrize(
-    "door", [lambda env, config: Shield(Always(0), env=env, config=config), ShieldedEnv], ids=["policy", "env"]
+    "placement", [lambda env, config: Shield(Always(0), env=env, config=config), ShieldedEnv], ids=["policy", "env"]
 )
-def test_roads_that_are_not_supported_are_refused_at_once(door, name, kind):
+def test_roads_that_are_not_supported_are_refused_at_once(placement, name, kind):
     """Throttle and steering; and one rule alone, which knows straight roads."""
     env = gym.make(name, config={"action": {"type": kind}})
     with pytest.raises(SceneError, match=r"support"):
-        door(env, ShieldConfig(mode="rss") if kind == "DiscreteMetaAction" else "worst-case")
+        placement(env, ShieldConfig(mode="rss") if kind == "DiscreteMetaAction" else "worst-case")
     assert env.reset(seed=0)  # the environment is none the worse for it
 
 
@@ -163,11 +163,11 @@ def test_a_policy_that_keeps_failing_is_an_error_and_warned_of_once(caplog):
         shield.predict(obs)
 
 
-@pytest.mark.parametrize("door", ["policy", "env"])
-def test_a_scene_that_cannot_be_read_is_an_error_after_a_while(door, monkeypatch, caplog):
+@pytest.mark.parametrize("placement", ["policy", "env"])
+def test_a_scene_that_cannot_be_read_is_an_error_after_a_while(placement, monkeypatch, caplog):
     env = make(duration=100, policy_frequency=5)
     shield = Shield(Always(1), env=env, config=ShieldConfig(patience=3))
-    shielded = ShieldedEnv(env, ShieldConfig(patience=3)) if door == "env" else env
+    shielded = ShieldedEnv(env, ShieldConfig(patience=3)) if placement == "env" else env
     obs, _ = shielded.reset(seed=0)
 
     def unreadable(self):
@@ -176,7 +176,7 @@ def test_a_scene_that_cannot_be_read_is_an_error_after_a_while(door, monkeypatch
     monkeypatch.setattr(SceneReader, "read", unreadable)
 
     def step(obs):
-        return shielded.step(1 if door == "env" else int(shield.predict(obs)[0]))[0]
+        return shielded.step(1 if placement == "env" else int(shield.predict(obs)[0]))[0]
 
     for _ in range(3):
         obs = step(obs)
@@ -202,7 +202,7 @@ class Old:
 WRAPPERS = [lambda p, env: Shield(p, env=env), lambda p, env: ShieldedEnv(env, policy=p)]
 
 
-@pytest.mark.parametrize("door", WRAPPERS, ids=["policy", "env"])
+@pytest.mark.parametrize("placement", WRAPPERS, ids=["policy", "env"])
 @pytest.mark.parametrize(
     ("policy", "message"),
     [
@@ -213,11 +213,11 @@ WRAPPERS = [lambda p, env: Shield(p, env=env), lambda p, env: ShieldedEnv(env, p
     ],
     ids=["number", "path", "class", "signature"],
 )
-def test_an_object_that_is_no_policy_is_refused(door, policy, message):
+def test_an_object_that_is_no_policy_is_refused(placement, policy, message):
     if policy is PPO:
         policy = type("PPO", (), {})  # one without a predict of its own
     with pytest.raises(PolicyError, match=message):
-        door(policy, make())
+        placement(policy, make())
 
 
 def test_a_model_of_another_environment_is_refused():

@@ -27,26 +27,31 @@ CROSSING = {
 }
 
 
-def warnings(caplog, env_id, config, door, settings=None):
+def warnings(caplog, env_id, config, placement, settings=None):
     """The warnings about an ego that cannot stop, and the environment."""
     env = gym.make(env_id, config=config)
     caplog.clear()
     with caplog.at_level(logging.INFO, "shield"):
-        wrapped = ShieldedEnv(env, settings) if door == "env" else Shield(Always(1), env, settings)
+        wrapped = ShieldedEnv(env, settings) if placement == "env" else Shield(Always(1), env, settings)
     messages = [each.getMessage() for each in caplog.records if each.levelno == logging.WARNING]
     return [message for message in messages if "cannot stop" in message], wrapped
 
 
 @pytest.mark.parametrize(
-    ("env_id", "door"),
-    [(each, door) for each in CROSSING for door in ("env", "policy") if door == "env" or "multi" not in each],
+    ("env_id", "placement"),
+    [
+        (each, placement)
+        for each in CROSSING
+        for placement in ("env", "policy")
+        if placement == "env" or "multi" not in each
+    ],
 )
-def test_an_ego_that_cannot_stop_is_warned_of_once_and_the_remedy_helps(env_id, door, caplog):
+def test_an_ego_that_cannot_stop_is_warned_of_once_and_the_remedy_helps(env_id, placement, caplog):
     """The configuration that the warning names is built from its text; with it there is no warning and no crash."""
-    (said,), _ = warnings(caplog, env_id, CROSSING[env_id], door)
+    (said,), _ = warnings(caplog, env_id, CROSSING[env_id], placement)
     assert "slowest target speed is 20 m/s" in said
     remedy = ast.literal_eval(said.split("config=")[1].removesuffix(" to gym.make"))
-    quiet, _ = warnings(caplog, env_id, {**CROSSING[env_id], **remedy}, door)
+    quiet, _ = warnings(caplog, env_id, {**CROSSING[env_id], **remedy}, placement)
     assert not quiet
     env = ShieldedEnv(gym.make(env_id, config={**CROSSING[env_id], **remedy}))
     for seed in range(3):
@@ -62,7 +67,7 @@ def test_an_ego_that_cannot_stop_is_warned_of_once_and_the_remedy_helps(env_id, 
         assert not any(ego.crashed for ego in base.controlled_vehicles)
 
 
-@pytest.mark.parametrize("door", ["env", "policy"])
+@pytest.mark.parametrize("placement", ["env", "policy"])
 @pytest.mark.parametrize(
     ("env_id", "config", "settings"),
     [
@@ -76,7 +81,7 @@ def test_an_ego_that_cannot_stop_is_warned_of_once_and_the_remedy_helps(env_id, 
         ("intersection-v1", META, ShieldConfig(mode="none")),
     ],
 )
-def test_an_ego_that_can_stop_or_meets_no_crossing_is_not_warned_of(env_id, config, settings, door, caplog):
+def test_an_ego_that_can_stop_or_meets_no_crossing_is_not_warned_of(env_id, config, settings, placement, caplog):
     """No lanes cross there, or the ego can stop, or nothing is verified."""
-    said, _ = warnings(caplog, env_id, config, door, settings)
+    said, _ = warnings(caplog, env_id, config, placement, settings)
     assert not said

@@ -17,8 +17,7 @@ from numba.core.event import trigger_event
 from evaluation.commands.warming import warm_command
 from shield import compiling
 from shield.pipelines import warm_up
-from shield.wrappers import warm_filters as warm_doors
-from shield.wrappers import warm_parts
+from shield.wrappers import warm_filters, warm_parts
 from shield.wrappers.warm_parts import PARTS
 
 BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "compile_times.py"
@@ -189,7 +188,9 @@ def test_the_progress_is_shown_on_a_terminal(slow_machine, monkeypatch):
 
 def test_every_part_has_measured_times_of_existing_kernels():
     """If this fails, `python benchmarks/compile_times.py --write` measures them anew."""
-    source = "".join(Path(module.__file__).read_text(encoding="utf-8") for module in (warm_doors, warm_parts, warm_up))
+    source = "".join(
+        Path(module.__file__).read_text(encoding="utf-8") for module in (warm_filters, warm_parts, warm_up)
+    )
     said = set(re.findall(r'"((?:worst case|simulated|compiled) [a-z, ]+)"', source))
     assert compiling.compile_units().keys() == said == PARTS.keys()
     for part, kernels in compiling.compile_units().items():

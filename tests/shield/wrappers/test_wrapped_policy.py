@@ -137,13 +137,13 @@ def test_speed_limits_of_another_kind_are_refused():
 
 
 @pytest.mark.parametrize(
-    "door", [lambda env, config: Shield(Always(np.zeros(2)), env, config), ShieldedEnv], ids=["policy", "env"]
+    "wrap", [lambda env, config: Shield(Always(np.zeros(2)), env, config), ShieldedEnv], ids=["policy", "env"]
 )
 @pytest.mark.parametrize("env_id", BY_SIMULATION)
-def test_the_refusal_of_inputs_names_simulated_traffic_and_that_works(env_id, door):
+def test_the_refusal_of_inputs_names_simulated_traffic_and_that_works(env_id, wrap):
     env = gym.make(env_id, config=BY_SIMULATION[env_id])
     with pytest.raises(ShieldError, match=r"ShieldedEnv\(env, ShieldConfig\.simulated_traffic\(\)\)") as refusal:
-        door(env, "worst-case")
+        wrap(env, "worst-case")
     assert len(str(refusal.value)) < 700
     # Neither an option that highway-env lacks nor one refused next is named.
     assert 'dynamical": False' not in str(refusal.value)
@@ -151,7 +151,7 @@ def test_the_refusal_of_inputs_names_simulated_traffic_and_that_works(env_id, do
         shielded = ShieldedEnv(env, config)
         shielded.reset(seed=0)
         shielded.step(env.action_space.sample())
-        assert door(env, config).verification is Verification.SIMULATED
+        assert wrap(env, config).verification is Verification.SIMULATED
 
 
 class OwnSteps(ExitEnv):
@@ -194,17 +194,17 @@ def test_an_object_without_predict_is_refused(policy, env):
         Shield(policy, env=env)
 
 
-@pytest.mark.parametrize("door", [lambda env: Shield(Always(0), env=env), ShieldedEnv], ids=["policy", "env"])
-def test_an_environment_that_is_not_of_highway_env_is_refused(door):
+@pytest.mark.parametrize("wrap", [lambda env: Shield(Always(0), env=env), ShieldedEnv], ids=["policy", "env"])
+def test_an_environment_that_is_not_of_highway_env_is_refused(wrap):
     with pytest.raises(ConfigError, match=r"CartPoleEnv is not a highway-env environment.*roundabouts.* and parking"):
-        door(gym.make("CartPole-v1"))
+        wrap(gym.make("CartPole-v1"))
     with pytest.raises(ConfigError, match=r"got ShieldConfig; settings go to config="):
-        door(ShieldConfig())
+        wrap(ShieldConfig())
     with pytest.raises(ConfigError, match="is a ShieldedEnv already"):
-        door(gym.wrappers.TimeLimit(ShieldedEnv(make()), 5))
+        wrap(gym.wrappers.TimeLimit(ShieldedEnv(make()), 5))
     several = {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}
     with pytest.raises(ConfigError, match="several"):
-        door(gym.make("highway-fast-v0", config={"action": several}))
+        wrap(gym.make("highway-fast-v0", config={"action": several}))
 
 
 def test_attributes_of_the_model_are_reached_through_the_shield(models):

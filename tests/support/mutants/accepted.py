@@ -7,15 +7,15 @@ from mutants.kinds import DUTIES, FRAMES, INPUTS, LOT, SEARCH, TESTS_OF_LOT, Edi
 __all__ = ["ACCEPTED"]
 
 ACCEPTED = (
-    verified("frame", "door[frame]"),
-    verified("lane change", "door[lane change]"),
-    verified("FASTER", "door[faster]"),
-    verified("SLOWER", "door[slower]"),
-    verified("mask", "door[mask]"),
-    verified("lane change without frames", "door[held lane change]"),
-    verified("FASTER without frames", "door[held faster]"),
-    verified("throttle", "door[throttle]"),
-    verified("throttle and wheel", "door[throttle and wheel]"),
+    verified("frame", "pipeline[frame]"),
+    verified("lane change", "pipeline[lane change]"),
+    verified("FASTER", "pipeline[faster]"),
+    verified("SLOWER", "pipeline[slower]"),
+    verified("mask", "pipeline[mask]"),
+    verified("lane change without frames", "pipeline[held lane change]"),
+    verified("FASTER without frames", "pipeline[held faster]"),
+    verified("throttle", "pipeline[throttle]"),
+    verified("throttle and wheel", "pipeline[throttle and wheel]"),
     verified("parking", "lot"),
     off(
         "fail-safe of a frame chosen at -0.3 m",

@@ -77,7 +77,7 @@ PERMITS, GAPS, ROLLOUTS = (
 
 TESTS_OF_CLAUSES = {
     "shield/certificate/road/clauses/test_all_clauses.py": {
-        "door": "test_no_verified_decision_has_a_negative_margin",
+        "pipeline": "test_no_verified_decision_has_a_negative_margin",
         "mended": "test_a_plan_that_nearly_verifies_does_not_displace_one_that_does",
         "first": "test_the_first_verified_plan_is_taken_or_else_the_largest_margin",
         "lanes": "test_an_input_passes_if_its_fail_safe_stops_in_any_lane",
@@ -143,7 +143,7 @@ TESTS = {short: f"tests/{file}::{test}" for file, tests in TESTS_OF_CLAUSES.item
 
 
 def at(*names: str) -> tuple[str, ...]:
-    """Targets: of the tests of single clauses the short name, "door[frame]" with what they are given."""
+    """Targets: of the tests of single clauses the short name, "pipeline[frame]" with what they are given."""
     found = []
     for name in names:
         short, bracket, case = name.partition("[")

@@ -38,19 +38,21 @@ def scene(env_id, lane, s, speed, others=(), things=(), config=None):
         road.vehicles[-1].route = None
     for index, where in things:
         road.objects.append(Obstacle(road, road.network.get_lane(index).position(where, 0)))
-    door = NetworkFilter(base, config or ShieldConfig.for_roads())
-    door.reset()
-    door._read()
-    door._others.owes[:] = False
-    return door
+    network_filter = NetworkFilter(base, config or ShieldConfig.for_roads())
+    network_filter.reset()
+    network_filter._read()
+    network_filter._others.owes[:] = False
+    return network_filter
 
 
-def margin(door, seconds, speed, lenient=False):
+def margin(network_filter, seconds, speed, lenient=False):
     """The least separation if the ego keeps a speed for so long, and brakes then [m]."""
-    lane = int(door._alone.worlds.g[0, 2, 0])
-    frames = 1 + round(seconds * door._frequency)
+    lane = int(network_filter._alone.worlds.g[0, 2, 0])
+    frames = 1 + round(seconds * network_filter._frequency)
     row = np.array([lane, speed, 1e3, frames, 0, HARD], float)
-    return try_candidate(door._alone, door._road, door._others, row, lenient, door._trial).margin
+    return try_candidate(
+        network_filter._alone, network_filter._road, network_filter._others, row, lenient, network_filter._trial
+    ).margin
 
 
 RING, NEXT, ENTRY = ("se", "ex", 0), ("ex", "ee", 0), ("ses", "se", 0)
@@ -79,23 +81,23 @@ def test_a_vehicle_ahead_on_a_ring_does_not_count_as_a_follower(env_id):
     """A vehicle that looks beyond the end of its lane reaches the ego once around the ring too, and must keep its
     distance there, not at its present place. The path stays in the lane of that vehicle; in the next lane no vehicle
     has an obligation."""
-    door = scene(
+    network_filter = scene(
         env_id, RING, 2.0, 3.0, [(RING, 9.0, 1.0)], config=ShieldConfig.for_roads(considers_connected_lanes=True)
     )
-    alone = margin(door, 1.0, 3.0)
+    alone = margin(network_filter, 1.0, 3.0)
     assert alone < CLEAR
-    margin(door, 0.0, 0.0)
-    door._keep_distance(door.watch.last.identities, True)
-    assert door._others.owes.any()
-    assert margin(door, 1.0, 3.0, lenient=True) == alone
+    margin(network_filter, 0.0, 0.0)
+    network_filter._keep_distance(network_filter.watch.last.identities, True)
+    assert network_filter._others.owes.any()
+    assert margin(network_filter, 1.0, 3.0, lenient=True) == alone
 
 
 def test_a_follower_sees_the_ego_in_its_own_lane_only():
     """The ego stops just beyond the end of the follower's lane."""
     lane, after = ("a", "b", 0), ("b", "c", 0)
     behind = [(lane, 180.0, 20.0)]
-    door = scene("merge-v0", after, 6.0, 5.0, behind)
-    assert margin(door, 0.0, 0.0) < CLEAR
+    network_filter = scene("merge-v0", after, 6.0, 5.0, behind)
+    assert margin(network_filter, 0.0, 0.0) < CLEAR
     ahead = scene("merge-v0", after, 6.0, 5.0, behind, config=ShieldConfig.for_roads(considers_connected_lanes=True))
     assert margin(ahead, 0.0, 0.0) >= CLEAR
     # In its own lane the follower sees the ego.
@@ -128,9 +130,9 @@ def test_a_follower_that_has_to_merge_has_no_obligation():
     """On merge's ramp a follower may drive past the ego and merge then; in the ego's own lane it brakes."""
     lane, ramp = ("b", "c", 1), ("b", "c", 2)
     for behind, owes in ((ramp, False), (lane, True)):
-        door = scene("merge-v0", lane, 60.0, 5.0, [(behind, 10.0, 20.0)])
-        assert (margin(door, 0.0, 0.0) >= CLEAR) == owes
-        assert door.is_owed_by(door._base.road.vehicles[1]) == owes
+        network_filter = scene("merge-v0", lane, 60.0, 5.0, [(behind, 10.0, 20.0)])
+        assert (margin(network_filter, 0.0, 0.0) >= CLEAR) == owes
+        assert network_filter.is_owed_by(network_filter._base.road.vehicles[1]) == owes
 
 
 def test_a_vehicle_that_rolls_back_does_so_until_it_stands():
@@ -159,9 +161,9 @@ def test_the_buffer_behind_a_standing_vehicle_is_kept():
 
 def test_a_vehicle_near_the_end_of_its_lane_is_in_that_lane_and_the_next():
     """Two metres before the end of its lane a vehicle may begin to turn into the next lane."""
-    door = scene("intersection-v0", ("o1", "ir1", 0), 10.0, 0.0, [(("o0", "ir0", 0), 98.0, 1.0)])
-    marks = door._others.marks
-    lanes = [door._names[lane] for lane in marks[:, 1]]
+    network_filter = scene("intersection-v0", ("o1", "ir1", 0), 10.0, 0.0, [(("o0", "ir0", 0), 98.0, 1.0)])
+    marks = network_filter._others.marks
+    lanes = [network_filter._names[lane] for lane in marks[:, 1]]
     own = lanes.index(("o0", "ir0", 0))
     assert marks[own, 2] == -1
     for lane in ("il1", "il2", "il3"):
@@ -171,27 +173,29 @@ def test_a_vehicle_near_the_end_of_its_lane_is_in_that_lane_and_the_next():
 def test_a_vehicle_beside_its_lane_has_to_return():
     """A vehicle that drives straight on astride a marking breaks this rule and no other."""
     lane, seen = ("a", "b", 0), []
-    door = scene("merge-v0", lane, 150.0, 0.0, [(lane, 20.0, 15.0)])
-    base = door._base
+    network_filter = scene("merge-v0", lane, 150.0, 0.0, [(lane, 20.0, 15.0)])
+    base = network_filter._base
     body = base.road.vehicles[1]
     for k in range(2):
         body.position = base.road.network.get_lane(lane).position(20.0 + k, -1.2)
-        seen.append(door._look())
+        seen.append(network_filter._look())
     for clear, broken in (({body}, {NetworkRule.WAYS: 1}), (set(), {})):
         watch = NetworkMonitor()
         for k in range(2):
-            watch.next(seen[k], clear, np.array([-1.0]), door._road, set())
+            watch.next(seen[k], clear, np.array([-1.0]), network_filter._road, set())
         assert watch.by_rule == broken
 
 
 def test_the_ego_does_not_evade_into_a_lane_that_ends():
     """At the end of that lane the ego would stand for good."""
-    door = scene("merge-v0", ("b", "c", 1), 20.0, 20.0)
+    network_filter = scene("merge-v0", ("b", "c", 1), 20.0, 20.0)
     lanes = []
     for aside in (-1, 1):
-        row = np.array([door._index["b", "c", 1], 20.0, 1e3, 5, aside, HARD], float)
-        try_candidate(door._alone, door._road, door._others, row, False, door._trial)
-        lanes.append(door._names[int(door._trial.bound[10])])
+        row = np.array([network_filter._index["b", "c", 1], 20.0, 1e3, 5, aside, HARD], float)
+        try_candidate(
+            network_filter._alone, network_filter._road, network_filter._others, row, False, network_filter._trial
+        )
+        lanes.append(network_filter._names[int(network_filter._trial.bound[10])])
     assert lanes == [("b", "c", 0), ("b", "c", 1)]
 
 
@@ -199,17 +203,17 @@ def test_the_ego_does_not_evade_into_a_lane_that_ends():
 def test_the_largest_margin_fallback_brakes(gap):
     """Too near behind a slower vehicle for any plan to verify, with the buffer lost or not."""
     lane = ("a", "b", 1)
-    door = scene("two-way-v0", lane, 60.0, 30.0, [(lane, 60.0 + gap, 20.0)])
-    assert not door.decide(3).tier.verified
-    command, decision = door.frame()
+    network_filter = scene("two-way-v0", lane, 60.0, 30.0, [(lane, 60.0 + gap, 20.0)])
+    assert not network_filter.decide(3).tier.verified
+    command, decision = network_filter.frame()
     assert not decision.tier.verified
     assert command["acceleration"] < -9.0
 
 
 def test_a_path_off_the_road_is_none():
-    door = scene("roundabout-v0", ("ser", "ses", 0), 40.0, 8.0)
-    door._alone.worlds.f[0, 0, 0] += 300.0
-    assert margin(door, 2.0, 16.0) < -100
+    network_filter = scene("roundabout-v0", ("ser", "ses", 0), 40.0, 8.0)
+    network_filter._alone.worlds.f[0, 0, 0] += 300.0
+    assert margin(network_filter, 2.0, 16.0) < -100
 
 
 WAITS = ShieldConfig.for_roads(gives_way=True)
@@ -241,21 +245,21 @@ def test_the_priorities_of_an_intersection_decide_which_vehicle_waits(ego, other
     """The crossing road has the right of way, and an oncoming vehicle waits before it turns left."""
     there = [((f"o{other}", f"ir{other}", 0), 60.0, 9.0)]
     config = ShieldConfig.for_roads(6.0, gives_way=True)
-    door = scene("intersection-v0", (f"o{ego}", f"ir{ego}", 0), 99.0, 9.0, there, config=config)
+    network_filter = scene("intersection-v0", (f"o{ego}", f"ir{ego}", 0), 99.0, 9.0, there, config=config)
     alone = scene("intersection-v0", (f"o{ego}", f"ir{ego}", 0), 99.0, 9.0, there, config=ShieldConfig.for_roads(6.0))
     seconds = 1.0
     assert margin(alone, seconds, 9.0) < CLEAR
-    assert (margin(door, seconds, 9.0) >= CLEAR) == waits
+    assert (margin(network_filter, seconds, 9.0) >= CLEAR) == waits
 
 
 def test_a_vehicle_that_waits_has_its_reaction_time_first():
     """A vehicle whose reaction time has passed stops where another does not."""
     clear = None
     for s in range(112, 124):
-        door = scene("roundabout-v0", RING, 8.0, 8.0, [(("eer", "ees", 0), float(s), 14.0)], config=WAITS)
-        fresh = margin(door, 3.0, 8.0, lenient=True)
-        door._others.gives[:] = door._road.duty.reaction
-        known = margin(door, 3.0, 8.0, lenient=True)
+        network_filter = scene("roundabout-v0", RING, 8.0, 8.0, [(("eer", "ees", 0), float(s), 14.0)], config=WAITS)
+        fresh = margin(network_filter, 3.0, 8.0, lenient=True)
+        network_filter._others.gives[:] = network_filter._road.duty.reaction
+        known = margin(network_filter, 3.0, 8.0, lenient=True)
         assert known >= CLEAR or fresh < CLEAR
         if known >= CLEAR > fresh:
             clear = s
@@ -298,16 +302,16 @@ def test_a_creeping_vehicle_of_the_lane_before_lowers_no_margin(way, speed):
 )
 def test_a_merge_from_a_lane_that_ends_is_no_violation(start, speed, rate):
     """With highway-env's own controller, anywhere on merge's ramp, at any throttle."""
-    door = scene("merge-v0", ("a", "b", 0), 20.0, 0.0, [(("b", "c", 2), start, speed)])
-    body, frames = door._base.road.vehicles[1], 0
+    network_filter = scene("merge-v0", ("a", "b", 0), 20.0, 0.0, [(("b", "c", 2), start, speed)])
+    body, frames = network_filter._base.road.vehicles[1], 0
     while body.lane_index == ("b", "c", 2) and body.speed > 0.5:
-        since = door.watch.last
+        since = network_filter.watch.last
         wheel = body.steering_control(("b", "c", 1))
         Vehicle.act(body, {"acceleration": rate, "steering": float(np.clip(wheel, -np.pi / 3, np.pi / 3))})
-        body.step(1 / door._frequency)
-        door._base.steps += 1  # the filter judges each frame once
-        door._read()
-        assert not door.have_broken([body], since)
+        body.step(1 / network_filter._frequency)
+        network_filter._base.steps += 1  # the filter judges each frame once
+        network_filter._read()
+        assert not network_filter.have_broken([body], since)
         frames += 1
     assert frames > 5
 
@@ -315,20 +319,22 @@ def test_a_merge_from_a_lane_that_ends_is_no_violation(start, speed, rate):
 @pytest.mark.parametrize("lane", [("k", "b", 0), ("b", "c", 2)])
 def test_a_vehicle_that_stands_in_a_lane_that_ends_waits_there(lane):
     """A vehicle as slow before that lane does not wait: it has the time to accelerate."""
-    door = scene("merge-v0", ("a", "b", 0), 20.0, 0.0, [(lane, 40.0, 0.4)])
-    lanes = {door._names[each] for each in door._others.marks[:, 1]}
+    network_filter = scene("merge-v0", ("a", "b", 0), 20.0, 0.0, [(lane, 40.0, 0.4)])
+    lanes = {network_filter._names[each] for each in network_filter._others.marks[:, 1]}
     assert (("b", "c", 1) in lanes) == (lane == ("k", "b", 0))
 
 
 def test_a_vehicle_that_stands_astride_a_marking_may_merge():
     """It has not kept to its lane, so it does not count as waiting there."""
     lane = ("b", "c", 2)
-    door = scene("merge-v0", ("a", "b", 0), 20.0, 0.0, [(lane, 40.0, 0.3)])
-    body = door._base.road.vehicles[1]
+    network_filter = scene("merge-v0", ("a", "b", 0), 20.0, 0.0, [(lane, 40.0, 0.3)])
+    body = network_filter._base.road.vehicles[1]
     for r, least in ((0.0, -1.6), (-1.0, -5.6)):
         body.position = body.lane.position(40.0, r)
-        door._read()
-        rows = door._others.numbers[[door._names[k] == lane for k in door._others.marks[:, 1]]]
+        network_filter._read()
+        rows = network_filter._others.numbers[
+            [network_filter._names[k] == lane for k in network_filter._others.marks[:, 1]]
+        ]
         assert rows[0, LOW] == pytest.approx(least)
 
 
@@ -337,12 +343,20 @@ def test_a_follower_is_asked_for_no_more_braking_than_it_can_do(gap, clear):
     """The ego brakes from 20 m/s; the follower is as fast and brakes at 6 m/s² at most. With an obligation, and
     braking at once, it needs 14 m and a body length."""
     lane = ("a", "b", 0)
-    door = scene("merge-v0", lane, 60.0, 20.0, [(lane, 60.0 - gap, 20.0)])
-    index = door._index[lane]
+    network_filter = scene("merge-v0", lane, 60.0, 20.0, [(lane, 60.0 - gap, 20.0)])
+    index = network_filter._index[lane]
     row = np.array([[index, 0.0, 1e3, 0, 0, HARD]])
     for owes in (False, True):
-        door._others.owes[0, index] = owes
-        found = choose(door._alone, door._road, door._bare.body, door._others, row, door._trial, door._braking.bodies)
+        network_filter._others.owes[0, index] = owes
+        found = choose(
+            network_filter._alone,
+            network_filter._road,
+            network_filter._bare.body,
+            network_filter._others,
+            row,
+            network_filter._trial,
+            network_filter._braking.bodies,
+        )
         assert (found.margin >= CLEAR) == (clear and (owes or gap > 25.0))
 
 
@@ -350,22 +364,22 @@ def test_a_follower_is_asked_for_no_more_braking_than_it_can_do(gap, clear):
 def test_a_follower_that_does_not_brake_is_a_violator(brakes):
     """It is named once braking no longer helps: at 15 m/s, 19 m before the ego, which cannot go on."""
     lane = ("a", "b", 0)
-    door = scene("merge-v0", lane, 100.0, 0.0, [(lane, 60.0, 15.0)], [(lane, 106.0)])
-    body, named, verified = door._base.road.vehicles[1], [], []
-    door.reset()
-    door.decide(1)
+    network_filter = scene("merge-v0", lane, 100.0, 0.0, [(lane, 60.0, 15.0)], [(lane, 106.0)])
+    body, named, verified = network_filter._base.road.vehicles[1], [], []
+    network_filter.reset()
+    network_filter.decide(1)
     while body.position[0] < 94.9 and body.speed > 0.1:
-        verified.append(door.frame()[1].tier.verified)
+        verified.append(network_filter.frame()[1].tier.verified)
         room = 95.0 - body.position[0]
-        if door.watch.by_rule and not named:
+        if network_filter.watch.by_rule and not named:
             named.append(room)
-            assert door.watch.offenders == {body}
+            assert network_filter.watch.offenders == {body}
         # The follower is counted on for as long as it can stop.
         assert verified[-1] == (not named)
         hard = brakes and room - 1.0 < body.speed * 2 / 15 + (body.speed + 0.2) ** 2 / 12
         Vehicle.act(body, {"acceleration": -6.0 if hard else 0.0, "steering": 0.0})
-        body.step(1 / door._frequency)
-        door._base.steps += 1  # the filter judges each frame once
-    door.frame()
-    assert set(door.watch.by_rule) == (set() if brakes else {NetworkRule.DISTANCE})
+        body.step(1 / network_filter._frequency)
+        network_filter._base.steps += 1  # the filter judges each frame once
+    network_filter.frame()
+    assert set(network_filter.watch.by_rule) == (set() if brakes else {NetworkRule.DISTANCE})
     assert brakes or named[0] == pytest.approx(15.0**2 / 12, abs=1.5)

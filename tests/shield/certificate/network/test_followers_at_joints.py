@@ -31,11 +31,11 @@ def creep_up(length, width, step, until):
     body = Vehicle(road, start, lane.heading, step * base.config["simulation_frequency"])
     body.LENGTH, body.WIDTH, body.route = length, width, None
     road.vehicles, road.objects = [ego, body], []
-    door = NetworkFilter(base, ShieldConfig.for_roads())
-    door.reset()
+    network_filter = NetworkFilter(base, ShieldConfig.for_roads())
+    network_filter.reset()
     while (left := rear - lane.local_coordinates(body.position)[0] - 0.5 * length) > until:
-        door.decide(IDLE)
-        yield door.frame()[1], door, left
+        network_filter.decide(IDLE)
+        yield network_filter.frame()[1], network_filter, left
         body.position = body.position + step * np.array([np.cos(body.heading), np.sin(body.heading)])
         body.on_state_update()
         base.steps += 1
@@ -47,10 +47,10 @@ def test_a_follower_that_creeps_up_to_the_body_keeps_its_obligation(length, widt
     follower comes as near as the rules let it."""
     step, nearest = 0.005, np.inf
     until = 0.1 * width + 2 * step
-    for decision, door, nearest in creep_up(length, width, step, until):
+    for decision, network_filter, nearest in creep_up(length, width, step, until):
         assert decision.tier.verified, nearest
-        assert door.violations == 0
-        assert door.is_owed_by(door._base.road.vehicles[1])
+        assert network_filter.violations == 0
+        assert network_filter.is_owed_by(network_filter._base.road.vehicles[1])
     assert nearest < until + step
 
 
@@ -69,10 +69,10 @@ def test_a_follower_far_behind_an_ego_that_will_stand_beyond_the_joint_can_keep_
         ego.position, ego.heading, ego.speed = lane.position(s, 0.0), lane.heading, 15.6
         ego.lane_index = ego.target_lane_index = BEFORE
         ego.lane, ego.route, ego.speed_index, ego.target_speed = lane, None, 2, 16.0
-        door = NetworkFilter(base, ShieldConfig.for_roads())
-        door.reset()
-        door.decide(IDLE)
-        if door.frame()[1].tier.verified:
+        network_filter = NetworkFilter(base, ShieldConfig.for_roads())
+        network_filter.reset()
+        network_filter.decide(IDLE)
+        if network_filter.frame()[1].tier.verified:
             verified += 1
-            assert door._braking.stays[body] > 50.0, s
+            assert network_filter._braking.stays[body] > 50.0, s
     assert verified > 20

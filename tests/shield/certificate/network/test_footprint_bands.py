@@ -34,9 +34,9 @@ def worst_corner(kind, angles=0.15):
             body = Vehicle(road, lane.position(s, rng.uniform(-1.5, 1.5)), heading, 2.0)
             body.lane_index, body.lane, body.route = key, lane, None
             road.vehicles = [base.vehicle, body]
-            env.door.reset()
-            env.door._read()
-            others = env.door.watch.last.others
+            env.filter.reset()
+            env.filter._read()
+            others = env.filter.watch.last.others
             number = next(k for k, name in enumerate(road.network.lanes_dict()) if name == key)
             ours = others.marks[: int(others.found[0]), 1] == number
             row = others.numbers[: int(others.found[0])][ours][0]
@@ -80,9 +80,9 @@ def road_of(env_id):
     env = gym.make(env_id)
     env.reset(seed=1)
     base = env.unwrapped
-    door, body = NetworkFilter(base, ShieldConfig.for_roads()), Vehicle(base.road, [0.0, 0.0])
+    network_filter, body = NetworkFilter(base, ShieldConfig.for_roads()), Vehicle(base.road, [0.0, 0.0])
     base.road.vehicles, base.road.objects = [base.vehicle, body], []
-    return door, body
+    return network_filter, body
 
 
 def outline_on(lane, body):
@@ -110,13 +110,13 @@ def outline_on(lane, body):
 )
 def test_every_strip_of_a_body_encloses_its_outline(env_id, which, share, r, angle, length, width):
     """On any lane, of any length and heading: along the lane and across it."""
-    door, body = road_of(env_id)
-    lanes = door._base.road.network.lanes_dict()
+    network_filter, body = road_of(env_id)
+    lanes = network_filter._base.road.network.lanes_dict()
     index = list(lanes)[int(which * len(lanes))]
     lane = lanes[index]
     body.position, body.heading = lane.position(share * lane.length, r), lane.heading_at(share * lane.length) + angle
     body.LENGTH, body.WIDTH, body.lane_index, body.lane = length, width, index, lane
-    others, numbers = door._look().others, list(lanes)
+    others, numbers = network_filter._look().others, list(lanes)
     now = np.flatnonzero(others.marks[:, 2] == -1)
     assert now.size
     for lane_number, row in zip(others.marks[now, 1], others.numbers[now], strict=True):
@@ -139,8 +139,8 @@ def test_every_strip_of_a_body_encloses_its_outline(env_id, which, share, r, ang
 )
 def test_a_body_that_keeps_to_its_lane_stays_inside_the_predicted_band(env_id, which, share, r, angle, length, width):
     """The predicted band of a body elsewhere on the lane, as far across and as much at an angle as the rules permit."""
-    door, body = road_of(env_id)
-    road, lanes = door._road, door._base.road.network.lanes_dict()
+    network_filter, body = road_of(env_id)
+    road, lanes = network_filter._road, network_filter._base.road.network.lanes_dict()
     number = int(which * len(lanes))
     index = list(lanes)[number]
     lane = lanes[index]
@@ -168,10 +168,10 @@ def decided(env_id, ego, other):
         vehicle.lane_index, vehicle.lane, vehicle.LENGTH, vehicle.route = index, lane, length, None
     base.vehicle.target_lane_index = ego[0]
     road.vehicles, road.objects = [base.vehicle, body], []
-    door = NetworkFilter(base, ShieldConfig.for_roads())
-    door.reset()
-    door.decide(1)
-    return door.frame()[1]
+    network_filter = NetworkFilter(base, ShieldConfig.for_roads())
+    network_filter.reset()
+    network_filter.decide(1)
+    return network_filter.frame()[1]
 
 
 @pytest.mark.parametrize(("s", "clear"), [(5.0, False), (9.0, True)])
@@ -207,9 +207,9 @@ def test_the_margin_to_a_vehicle_does_not_depend_on_another():
             body = Vehicle(road, at.position(s, 0.0), at.heading_at(s) + turned, 0.8)
             body.LENGTH, body.WIDTH, body.route = length, 0.5, None
             road.vehicles.append(body)
-        door = NetworkFilter(base, ShieldConfig.for_roads())
-        door.reset()
-        door._read()
-        door._try(stopping(door._bound, 9.8))
-        margins.append(door._trial.margins[0])
+        network_filter = NetworkFilter(base, ShieldConfig.for_roads())
+        network_filter.reset()
+        network_filter._read()
+        network_filter._try(stopping(network_filter._bound, 9.8))
+        margins.append(network_filter._trial.margins[0])
     assert margins[0] == margins[1]

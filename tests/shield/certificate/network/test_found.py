@@ -78,7 +78,7 @@ def test_a_follower_that_turns_and_gets_shorter_takes_no_plan_away(start):
         if terminated or truncated:
             break
     assert verified > 30
-    assert "unforeseen" not in env.door.by_rule
+    assert "unforeseen" not in env.filter.by_rule
 
 
 @pytest.mark.parametrize("kind", ["sound", "wreck", "object"])
@@ -88,9 +88,9 @@ def test_a_body_that_appears_in_the_way_is_a_violator(kind):
     base = env.unwrapped
     ego, road = base.vehicle, base.road
     road.vehicles = [ego]
-    env.door.reset()
+    env.filter.reset()
     env.step(IDLE)
-    assert env.door.by_rule == {}
+    assert env.filter.by_rule == {}
     at = ego.position + np.array([14.0, 0.0])
     if kind == "object":
         road.objects.append(Obstacle(road, at))
@@ -99,7 +99,7 @@ def test_a_body_that_appears_in_the_way_is_a_violator(kind):
         body.route, body.crashed = None, kind == "wreck"
         road.vehicles.append(body)
     env.step(IDLE)
-    assert env.door.by_rule["appeared"] == 1
+    assert env.filter.by_rule["appeared"] == 1
 
 
 def alone_with(body_of, steps=3):
@@ -111,10 +111,10 @@ def alone_with(body_of, steps=3):
     road.vehicles, road.objects = [ego], []
     body = body_of(road, ego)
     (road.objects if isinstance(body, Obstacle) else road.vehicles).append(body)
-    env.door.reset()
+    env.filter.reset()
     for _ in range(steps):
         env.step(IDLE)
-    return env.door.by_rule
+    return env.filter.by_rule
 
 
 def creeping(road, at, way, growth):
@@ -190,10 +190,10 @@ def test_no_plan_is_verified_beyond_the_end_of_the_road():
     ego.lane = road.network.get_lane(lane)
     other = Vehicle.make_on_lane(road, ("b", "a", 0), 6.6, 0.0)
     road.vehicles = [ego, other]
-    env.door.reset()
+    env.filter.reset()
     for _ in range(20):
         _, _, terminated, truncated, _ = env.step(3)
         if terminated or truncated:
             break
     assert ego.position[0] > 797.0
-    assert "unforeseen" not in env.door.by_rule
+    assert "unforeseen" not in env.filter.by_rule

@@ -71,7 +71,7 @@ def drive(env, action, steps, after, collide=False):
         *_, terminated, truncated, _ = env.step(action)
         if terminated or truncated:
             break
-    env.door.look()
+    env.filter.look()
 
 
 @pytest.mark.parametrize("length", [1.0, 3.0, 3.4, 5.0])
@@ -92,11 +92,11 @@ def test_a_short_follower_around_the_ring_causes_no_prediction_mismatch(length):
         while s > lanes[k].length:
             s, k = s - lanes[k].length, k + 1
         follower.put(lanes[k].position(s, 0), lanes[k].heading_at(s), 8.0)
-        owed.append(env.door.is_owed_by(follower))
+        owed.append(env.filter.is_owed_by(follower))
 
     drive(env, FASTER, 2, follow)
     assert any(owed)
-    assert not env.door.by_rule
+    assert not env.filter.by_rule
 
 
 def test_a_lane_that_two_reachable_intervals_lead_to_is_closed_with_both():
@@ -114,16 +114,16 @@ def test_a_lane_that_two_reachable_intervals_lead_to_is_closed_with_both():
     turning = body(road, [2.27, 42.92], 0.177, 0.0, (14.6, 2.6))
     road.vehicles.append(turning)
     drive(env, SLOWER, 1, lambda frame: turning.put([2.27, 42.92], -1.7255, 0.0))
-    assert "unforeseen" not in env.door.by_rule
+    assert "unforeseen" not in env.filter.by_rule
 
 
 def test_a_lane_is_closed_where_all_lanes_that_lead_to_it_are():
     """A body within 3 m of a joint has two strips of the lane that goes on; both lead to the next."""
     env, road, _ = alone("roundabout-v0", 30)
     road.vehicles.append(body(road, [2.27, 42.92], -1.7255, 0.0, (14.6, 2.6)))
-    env.door.reset()
-    env.door.decide(IDLE)
-    others = env.door._others
+    env.filter.reset()
+    env.filter.decide(IDLE)
+    others = env.filter._others
     several = np.flatnonzero(others.marks[:, 2] == SEVERAL)
     assert several.size
     for j in several:
@@ -131,7 +131,7 @@ def test_a_lane_is_closed_where_all_lanes_that_lead_to_it_are():
         for open_ in range(-1, j):
             others.shut[:] = True
             others.shut[max(open_, 0)] &= open_ < 0
-            shut.append(_is_blocked(others, env.door._road, j))
+            shut.append(_is_blocked(others, env.filter._road, j))
         assert shut[0]
         assert shut.count(False) == 2
 
@@ -146,7 +146,7 @@ def test_an_object_that_stands_and_gets_a_speed_has_moved():
         obstacle.speed = -45.0 if frame >= 10 else 0.0
 
     drive(env, IDLE, 1, speed_up)
-    assert env.door.by_rule == {"moved": 1}
+    assert env.filter.by_rule == {"moved": 1}
 
 
 def test_a_vehicle_that_becomes_an_object_has_appeared():
@@ -161,7 +161,7 @@ def test_a_vehicle_that_becomes_an_object_has_appeared():
             it.position = ego.position + np.array([6.5, 0.0])
 
     drive(env, IDLE, 1, jump)
-    assert env.door.by_rule == {"appeared": 1}
+    assert env.filter.by_rule == {"appeared": 1}
 
 
 def test_an_object_of_any_class_is_named_and_the_others_are_judged():
@@ -175,8 +175,8 @@ def test_an_object_of_any_class_is_named_and_the_others_are_judged():
         far.put(far.position + np.array([far.speed / 15, 0.0]), 0.0, 10.0 if frame < 8 else 30.0)
 
     drive(env, IDLE, 1, appear)
-    assert env.door.by_rule == {"appeared": 1, "speed": 1}
-    assert env.door.cause == ""
+    assert env.filter.by_rule == {"appeared": 1, "speed": 1}
+    assert env.filter.cause == ""
 
 
 def test_a_stale_lane_index_is_not_believed():
@@ -193,10 +193,10 @@ def test_a_stale_lane_index_is_not_believed():
             across = np.array([-math.sin(ego.heading), math.cos(ego.heading)])
             it.put(ego.position + 0.6 * (frame - 10) * across, ego.heading + math.pi / 2, 12.0)
             it.lane_index, it.lane = stale, lane
-        touched.append((frame, dict(env.door.by_rule)))
+        touched.append((frame, dict(env.filter.by_rule)))
         if frame == 10:
-            marks = env.door._look().others.marks
-            there = {env.door._names[lane] for lane in marks[marks[:, 2] == -1, 1]}
+            marks = env.filter._look().others.marks
+            there = {env.filter._names[lane] for lane in marks[marks[:, 2] == -1, 1]}
             assert road.network.get_closest_lane_index(it.position, it.heading) in there
 
     drive(env, IDLE, 1, cross)
@@ -221,7 +221,7 @@ def test_a_vehicle_that_points_at_the_ego_for_one_frame_is_a_violator(frequency,
 
     drive(env, IDLE, 1, point, collide=True)
     assert ego.crashed
-    assert env.door.by_rule.get("ways") == 1
+    assert env.filter.by_rule.get("ways") == 1
 
 
 def test_a_vehicle_that_always_drives_askew_is_a_violator_where_it_would_hit_the_ego():
@@ -240,7 +240,7 @@ def test_a_vehicle_that_always_drives_askew_is_a_violator_where_it_would_hit_the
 
     drive(env, IDLE, 3, slide, collide=True)
     assert ego.crashed
-    assert env.door.by_rule == {"ways": 1}
+    assert env.filter.by_rule == {"ways": 1}
 
 
 def test_a_motion_beyond_the_bound_that_uses_up_a_margin_is_a_violation_of_any_size():
@@ -249,15 +249,15 @@ def test_a_motion_beyond_the_bound_that_uses_up_a_margin_is_a_violation_of_any_s
     ahead = body(road, ego.position + np.array([80.0, 0.0]), 0.0, 20.0)
     road.vehicles.append(ahead)
     drive(env, IDLE, 1, lambda frame: ahead.put(ahead.position + np.array([20.0 / 15, 0.0]), 0.0, 20.0))
-    door, watch = env.door, env.door.watch
-    assert not door.by_rule
+    network_filter, watch = env.filter, env.filter.watch
+    assert not network_filter.by_rule
     last = watch.last
     least = float(last.others.least[0, 1])
     for less, named in ((0.0, {}), (1e-11, {}), (1e-8, {"ways": 1})):
         watch.last, watch.breaking, watch.by_rule = last, {}, {}
         kept = ahead.position.copy()
         ahead.put(kept + np.array([least - less, 0.0]), 0.0, 20.0 - 6.0 / 15)
-        watch.next(door._look(), {ahead}, np.array([-5e-7]), door._road, set())
+        watch.next(network_filter._look(), {ahead}, np.array([-5e-7]), network_filter._road, set())
         ahead.put(kept, 0.0, 20.0)
         assert {str(rule): count for rule, count in watch.by_rule.items()} == named
 
@@ -292,4 +292,4 @@ def test_a_truck_on_the_ring_is_predicted_with_one_frame_straight_ahead(offset):
 
     drive(env, SLOWER, 1, after, collide=True)
     assert not (records[0] and ego.crashed)
-    assert "unforeseen" not in env.door.by_rule
+    assert "unforeseen" not in env.filter.by_rule

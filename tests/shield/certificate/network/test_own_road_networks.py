@@ -105,7 +105,7 @@ def test_a_vehicle_that_drives_off_a_dead_end_is_predicted(gap, speed, frequency
     scripted(env, north(gap, 30.0, speed, frequency))
     tiers = drive(env, SLOWER, 8 * frequency)
     assert env.unwrapped.vehicle.crashed
-    assert set(env.door.by_rule) == {"crash"}
+    assert set(env.filter.by_rule) == {"crash"}
     assert not set(tiers) & set(VERIFIED)
 
 
@@ -117,7 +117,7 @@ def test_the_ego_lets_a_vehicle_pass_that_drives_off_a_dead_end(away):
     tiers = drive(env, FASTER, 80)
     assert set(tiers) <= set(VERIFIED)
     assert not env.unwrapped.vehicle.crashed
-    assert not env.door.by_rule
+    assert not env.filter.by_rule
     assert vehicle.position[1] > 10.0
 
 
@@ -150,7 +150,7 @@ def test_a_follower_in_a_lane_that_ends_has_an_obligation_in_the_lane_beside(awa
         scripted(env, beside(away, 18.0, 15, brakes_from))
         tiers = drive(env, SLOWER, 50)
         assert tiers[0] in VERIFIED
-        assert set(env.door.by_rule) == rules
+        assert set(env.filter.by_rule) == rules
         if not rules:
             assert set(tiers) <= set(VERIFIED)
 
@@ -191,7 +191,7 @@ def test_a_second_pass_over_a_lane_is_predicted_at_any_distance():
     base.road.objects.append(Obstacle(base.road, [6.8, 0]))
     scripted(env, around(base.road.network, 44.0, lambda frame: (frame, 10.0)))
     tiers = drive(env, FASTER, 60)
-    assert not env.door.by_rule
+    assert not env.filter.by_rule
     assert set(tiers) <= set(VERIFIED)
     assert base.vehicle.position[0] < -5.0
 
@@ -210,7 +210,7 @@ def test_reachable_intervals_around_a_loop_lie_inside_those_of_the_frame_before(
             vehicle.place = around(network, start, lambda frame: (frame * 10.0 * dt, 10.0 + frame * rate * dt))
             vehicle.frame = frame - 1
             vehicle.step(dt)
-            seen.append(env.door._look().others)
+            seen.append(env.filter._look().others)
         assert _inside(seen[0], 0, seen[1], 0), start
         passes |= {tuple(np.unique(others.marks[:, 1], return_counts=True)[1]) for others in seen}
     assert len(passes) > 1
@@ -243,5 +243,5 @@ def test_a_plan_with_weak_braking_is_judged_until_the_ego_rests():
     env = shielded(with_side_road, (("a", "b", 0), 5.0), 30.0, 5, weak, policy_frequency=1, action=action)
     scripted(env, lambda frame: (210.0, 0.0, 0.0, 0.0))
     tiers = drive(env, FASTER, 16)
-    assert "unforeseen" not in env.door.by_rule
+    assert "unforeseen" not in env.filter.by_rule
     assert not set(tiers[:1]) & set(VERIFIED)

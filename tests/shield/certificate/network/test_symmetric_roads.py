@@ -77,19 +77,19 @@ def rows_of(env):
     return np.array([[*v.position, v.heading, v.speed, v.LENGTH, v.WIDTH] for v in env.unwrapped.road.vehicles])
 
 
-def seen_from(env_id, door, seed, quarters):
+def seen_from(env_id, settings, seed, quarters):
     """The bodies and the decision for one proposal, in a scene turned by quarter turns; None where some bodies
     overlap."""
     rng = np.random.default_rng(seed)
     ego, others = SCENES[env_id](rng)
-    env = placed(env_id, door, turned(ego, quarters), [turned(each, quarters) for each in others])
+    env = placed(env_id, settings, turned(ego, quarters), [turned(each, quarters) for each in others])
     rows = rows_of(env)
     apart = min(separation(one, other) for i, one in enumerate(rows) for other in rows[:i])
-    return (rows, env.door.decide(int(rng.integers(env.action_space.n)))) if apart > 2.0 else None
+    return (rows, env.filter.decide(int(rng.integers(env.action_space.n)))) if apart > 2.0 else None
 
 
 @pytest.mark.parametrize(
-    ("env_id", "door", "turns"),
+    ("env_id", "settings", "turns"),
     [
         ("intersection-v2", "exact", [2]),
         ("intersection-v2", "worst case", [1, 2, 3]),
@@ -99,15 +99,15 @@ def seen_from(env_id, door, seed, quarters):
 )
 @SETTINGS
 @given(SEEDS)
-def test_turning_the_scene_changes_no_decision(env_id, door, turns, seed):
-    seen = seen_from(env_id, door, seed, 0)
+def test_turning_the_scene_changes_no_decision(env_id, settings, turns, seed):
+    seen = seen_from(env_id, settings, seed, 0)
     assume(seen is not None)
     rows, decision = seen
     for quarters in turns:
-        other_rows, other = seen_from(env_id, door, seed, quarters)
+        other_rows, other = seen_from(env_id, settings, seed, quarters)
         assert_turned(rows, other_rows, quarters if env_id == "intersection-v2" else -quarters)
         assert (other.executed, other.tier, other.reason) == (decision.executed, decision.tier, decision.reason)
-        np.testing.assert_allclose(other.margin, decision.margin, rtol=0, atol=TOLERANCE[door])
+        np.testing.assert_allclose(other.margin, decision.margin, rtol=0, atol=TOLERANCE[settings])
 
 
 def assert_turned(rows, others, quarters):
@@ -118,10 +118,10 @@ def assert_turned(rows, others, quarters):
     np.testing.assert_allclose(np.exp(1j * (rows[:, 2] + angle)), np.exp(1j * others[:, 2]), atol=1e-9)
 
 
-def crossing(door, quarters):
+def crossing(settings, quarters):
     """The ego's speeds [m/s] on its way over the intersection, one from the left as near; turned so often."""
     ego, other = Body(("o0", "ir0", 0), 75.0, 9.0, "o2"), Body(("o1", "ir1", 0), 78.0, 9.0, "o3")
-    env = placed("intersection-v2", door, turned(ego, quarters), [turned(other, quarters)])
+    env = placed("intersection-v2", settings, turned(ego, quarters), [turned(other, quarters)])
     return [env.step(2) and env.unwrapped.vehicle.speed for _ in range(5)]
 
 
@@ -131,6 +131,6 @@ def test_an_ego_with_the_right_of_way_is_not_held_back():
     assert SHIELDS.keys() == TOLERANCE.keys()
 
 
-@pytest.mark.parametrize("door", SHIELDS)
-def test_turning_the_scene_changes_no_drive(door):
-    np.testing.assert_allclose(crossing(door, 2), crossing(door, 0), atol=1e-6)
+@pytest.mark.parametrize("settings", SHIELDS)
+def test_turning_the_scene_changes_no_drive(settings):
+    np.testing.assert_allclose(crossing(settings, 2), crossing(settings, 0), atol=1e-6)

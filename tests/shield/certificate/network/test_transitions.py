@@ -33,8 +33,8 @@ class Scene:
         self.other = Vehicle(road, road.network.lanes_list()[0].position(0, 0))
         self.other.LENGTH, self.other.WIDTH = size
         road.vehicles, road.objects = [self.ego, self.other], []
-        self.door = NetworkFilter(self.base, ShieldConfig.for_roads())
-        self.door.reset()
+        self.network_filter = NetworkFilter(self.base, ShieldConfig.for_roads())
+        self.network_filter.reset()
 
     def put(self, vehicle, lane, position, heading, speed):
         """A vehicle on a lane of highway-env's; the ego is bound for it."""
@@ -50,23 +50,25 @@ class Scene:
 
     def see(self):
         """The scene, without obligations."""
-        self.door._read()
-        self.door._others.owes[:] = False
-        return self.door._others
+        self.network_filter._read()
+        self.network_filter._others.owes[:] = False
+        return self.network_filter._others
 
     def margin(self, lane, speed, frames):
         """The least separation if the ego is bound for a lane at a speed for so many frames, and brakes then [m]."""
-        row = np.array([self.door._index[lane], speed, 1e3, frames, 0, HARD], float)
+        row = np.array([self.network_filter._index[lane], speed, 1e3, frames, 0, HARD], float)
         self.see()
-        door = self.door
-        return try_candidate(door._alone, door._road, door._others, row, False, door._trial).margin
+        network_filter = self.network_filter
+        return try_candidate(
+            network_filter._alone, network_filter._road, network_filter._others, row, False, network_filter._trial
+        ).margin
 
     def rules(self, before, after):
         """The rules that the other one breaks between two scenes (`NetworkPredictor.look`) where the fail-safe
         suffers."""
         watch = NetworkMonitor()
         for seen in (before, after):
-            watch.next(seen, {self.other}, np.array([-1.0]), self.door._road, set())
+            watch.next(seen, {self.other}, np.array([-1.0]), self.network_filter._road, set())
         return set(watch.breaking.get(self.other, ()))
 
     def looks(self, *states):
@@ -74,7 +76,7 @@ class Scene:
         for lane, position, heading, length, width in states:
             self.put(self.other, lane, position, heading, 0.0)
             self.other.LENGTH, self.other.WIDTH = length, width
-            yield self.door._look()
+            yield self.network_filter._look()
 
 
 def test_a_vehicle_that_narrows_at_the_outer_edge_of_an_arc_is_a_violator():
@@ -117,7 +119,7 @@ def test_a_last_frame_of_rolling_back_lowers_no_margin(turned, r, gap):
     scene.put(scene.other, own, [60.0 + gap, 0.0], 0.0, back)
     scene.ego.target_lane_index = beside
     then = scene.margin(beside, 10.0, 30)
-    x, y, heading, speed = scene.door._trial.path[1]
+    x, y, heading, speed = scene.filter._trial.path[1]
     scene.put(scene.ego, own, [x, y], heading, speed)
     scene.put(scene.other, own, [60.0 + gap + back * dt, 0.0], 0.0, 0.0)
     scene.ego.target_lane_index = beside
@@ -165,7 +167,7 @@ def test_a_vehicle_that_newly_fits_past_the_ego_is_a_violator(lane, ego, other, 
     for across in (other[1], then):
         scene.on(scene.other, lane, on.length + other[0], across, 0.0)
         margins.append(scene.margin(lane, 0.0, 1))
-        seen.append(replace(scene.door._look(), others=scene.door._others))
+        seen.append(replace(scene.filter._look(), others=scene.filter._others))
     assert not margins[0] >= CLEAR > margins[1] or scene.rules(*seen) == {NetworkRule.WAYS}
 
 
@@ -177,8 +179,8 @@ def test_the_ego_closes_a_lane_where_it_covers_its_middle(r, shut):
     scene.on(scene.ego, lane, length - 6.96, r, 0.0)
     scene.on(scene.other, lane, length - 19.86, -1.31, 0.0)
     assert (scene.margin(lane, 0.0, 1) >= CLEAR) == shut
-    others = scene.door._others
-    assert others.shut[others.marks[:, 1] != scene.door._index[lane]].any() == shut
+    others = scene.filter._others
+    assert others.shut[others.marks[:, 1] != scene.filter._index[lane]].any() == shut
 
 
 def test_the_traffic_of_highway_env_on_an_arc_causes_no_prediction_mismatch():
@@ -191,7 +193,7 @@ def test_the_traffic_of_highway_env_on_an_arc_causes_no_prediction_mismatch():
     while not over:
         *_, terminated, truncated, _ = env.step(actions[rng.integers(len(actions))])
         over = terminated or truncated
-    assert "unforeseen" not in env.door.by_rule
+    assert "unforeseen" not in env.filter.by_rule
 
 
 @pytest.mark.parametrize("env_id", ["roundabout-v0", "u-turn-v0", "intersection-v0"])

@@ -17,21 +17,21 @@ class Ramming:
         return FASTER, state
 
 
-def drive(door, seed, env_id="highway-fast-v0", **config):
+def drive(placement, seed, env_id="highway-fast-v0", **config):
     """One episode: whether it crashed, how often the shield intervened, and the mean speed [m/s]."""
     env = gym.make(env_id, config=config)
     policy = Ramming()
-    if door == "env":
+    if placement == "env":
         env = ShieldedEnv(env)
-    if door == "predict":
+    if placement == "predict":
         policy = Shield(policy, env=env)
     obs, info = env.reset(seed=seed)
     speeds, overridden, done = [], 0, False
     while not done:
         obs, _, terminated, truncated, info = env.step(int(policy.predict(obs)[0]))
         speeds.append(info["speed"])
-        overridden += info["shield"]["overridden"] if door == "env" else 0
-        overridden += policy.last_decision.overridden if door == "predict" else 0
+        overridden += info["shield"]["overridden"] if placement == "env" else 0
+        overridden += policy.last_decision.overridden if placement == "predict" else 0
         done = terminated or truncated
     env.close()
     return info["crashed"], overridden, sum(speeds) / len(speeds)

@@ -65,20 +65,22 @@ CASES = [
 
 
 @pytest.mark.parametrize(("hz", "relative", "depth", "ego_speed", "across"), CASES)
-@pytest.mark.parametrize("door", ["env", "policy"])
-def test_a_vehicle_that_crosses_the_buffer_in_one_frame_is_a_violator(hz, relative, depth, ego_speed, across, door):
+@pytest.mark.parametrize("placement", ["env", "policy"])
+def test_a_vehicle_that_crosses_the_buffer_in_one_frame_is_a_violator(
+    hz, relative, depth, ego_speed, across, placement
+):
     env = highway(hz)
-    shield = ShieldedEnv(env, "worst-case") if door == "env" else Shield(lambda obs: IDLE, env, "worst-case")
-    world = shield if door == "env" else env
+    shield = ShieldedEnv(env, "worst-case") if placement == "env" else Shield(lambda obs: IDLE, env, "worst-case")
+    world = shield if placement == "env" else env
     obs, _ = world.reset(seed=0)
     road_with(world, hz, relative, depth, ego_speed, across)
-    if door == "env":
-        shield.door.reset()
+    if placement == "env":
+        shield.filter.reset()
     told = []
     for _ in range(3):
-        action = IDLE if door == "env" else shield.predict(obs)[0]
+        action = IDLE if placement == "env" else shield.predict(obs)[0]
         obs, *_, info = world.step(action)
-        told.append(info["shield"]["violations"] if door == "env" else shield.statistics.violations)
+        told.append(info["shield"]["violations"] if placement == "env" else shield.statistics.violations)
         if info["crashed"]:
             break
     # A violation in the last frame of a step is reported with the next step, or with this one if it is the last.
@@ -91,5 +93,5 @@ def test_a_vehicle_that_stays_in_its_lane_is_no_violator(hz, relative, depth, eg
     env = ShieldedEnv(highway(hz), "worst-case")
     env.reset(seed=0)
     road_with(env, hz, relative, depth, ego_speed, 3.2)
-    env.door.reset()
+    env.filter.reset()
     assert [env.step(IDLE)[-1]["shield"]["violations"] for _ in range(3)] == [0, 0, 0]

@@ -42,7 +42,7 @@ def test_a_newly_owned_lane_takes_no_plan_away():
     for wheel in (0.8095393338343296, -0.5256011648418802, 0.5348920294685925):
         env.step(np.array([1.0, wheel]))
         assert env.decisions[0].reason is not Reason.NO_SAFE_PLAN
-    assert env.door.violations == 0
+    assert env.filter.violations == 0
 
 
 def lost_at(speed):
@@ -53,8 +53,8 @@ def lost_at(speed):
     env.step(np.zeros(2))
     other.step = lambda dt: None
     env.step(np.zeros(2))
-    env.door.look()
-    bodies = env.door.core.memory.survey.around.bodies
+    env.filter.look()
+    bodies = env.filter.core.memory.survey.around.bodies
     return np.array([bodies.budget[0], bodies.action[0]])
 
 

@@ -36,7 +36,7 @@ def check(env, frames):
     named."""
     assert frames[0].tier.verified
     lost = [decision for decision in frames if decision.guarantee.value == "none"]
-    assert not lost or env.door.violations > 0
+    assert not lost or env.filter.violations > 0
 
 
 def test_a_follower_that_leaves_its_lane_and_spoils_the_plan_is_a_violator():
@@ -49,7 +49,7 @@ def test_a_follower_that_leaves_its_lane_and_spoils_the_plan_is_a_violator():
     actions = [(-0.9321912527084351, -0.9557884335517883)] * 2
     env, frames = driven(config, ego, (speed, (5.0, 2.0), places), actions)
     check(env, frames)
-    assert env.door.violations == 1
+    assert env.filter.violations == 1
 
 
 def test_a_vehicle_that_turns_beside_the_entered_lane_and_spoils_the_plan_is_a_violator():
@@ -69,7 +69,7 @@ def test_a_vehicle_that_turns_beside_the_entered_lane_and_spoils_the_plan_is_a_v
     ]
     env, frames = driven(config, ego, (speed, (20.0, 3.2), places), actions)
     check(env, frames)
-    assert env.door.violations == 1
+    assert env.filter.violations == 1
 
 
 def test_speeds_that_cannot_be_braked_from_within_the_perception_range_are_refused():
@@ -80,4 +80,4 @@ def test_speeds_that_cannot_be_braked_from_within_the_perception_range_are_refus
         ShieldedEnv(env)
     env.reset(seed=1)
     env.unwrapped.road.objects.append(Obstacle(env.unwrapped.road, [430.0, 0.0]))
-    assert ShieldedEnv(env, ShieldConfig(perception_range=20_000.0)).door is not None
+    assert ShieldedEnv(env, ShieldConfig(perception_range=20_000.0)).filter is not None

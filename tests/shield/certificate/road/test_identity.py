@@ -7,12 +7,12 @@ from hand_driven import Driven, drive, inputs
 from highway_env.vehicle.objects import Obstacle
 
 RATES = pytest.mark.parametrize("hz", [5, 15, 30])
-WRAPPERS = pytest.mark.parametrize("door", ["env", "policy"])
+WRAPPERS = pytest.mark.parametrize("placement", ["env", "policy"])
 
 
 @RATES
 @WRAPPERS
-def test_a_distant_car_that_appears_and_vanishes_hides_no_violation(hz, door):
+def test_a_distant_car_that_appears_and_vanishes_hides_no_violation(hz, placement):
     """The leader brakes at 60 m/s^2 while a car 400 m away is put in and out of the road's list."""
 
     def cast(road):
@@ -28,7 +28,7 @@ def test_a_distant_car_that_appears_and_vanishes_hides_no_violation(hz, door):
 
         return [Driven(road, 40.0, 1, 25.0, brake), far]
 
-    out = drive(cast, hz, door=door)
+    out = drive(cast, hz, placement=placement)
     assert out.verified
     assert out.violations > 0
     assert not out.unnamed
@@ -38,7 +38,7 @@ def test_a_distant_car_that_appears_and_vanishes_hides_no_violation(hz, door):
 @RATES
 @WRAPPERS
 @pytest.mark.parametrize("kind", [Driven, Obstacle])
-def test_a_body_that_appears_in_the_way_on_a_highway_is_a_violator(hz, door, kind):
+def test_a_body_that_appears_in_the_way_on_a_highway_is_a_violator(hz, placement, kind):
     """15 m ahead of an ego at 25 m/s no body may appear; 200 m ahead, or in another lane, it may."""
     for ahead, lane, named in ((15.0, 1, True), (200.0, 1, False), (15.0, 2, False)):
 
@@ -54,7 +54,7 @@ def test_a_body_that_appears_in_the_way_on_a_highway_is_a_violator(hz, door, kin
 
             return [Driven(road, -200.0, 0, 25.0, spawn)]
 
-        out = drive(cast, hz, seconds=2.5, door=door)
+        out = drive(cast, hz, seconds=2.5, placement=placement)
         assert out.verified
         assert out.rules.get("appeared", 0) == named
         assert named or not out.rules

@@ -142,7 +142,7 @@ LINE, ENTRY = Body(("o0", "ir0", 0), 75.0, 9.0, "o2"), Body(("ser", "ses", 0), 1
 """Egos on their way straight over the intersection, and into the roundabout."""
 
 
-@pytest.mark.parametrize(("door", "driver"), [("exact", IDMVehicle), ("worst case", ControlledVehicle)])
+@pytest.mark.parametrize(("settings", "driver"), [("exact", IDMVehicle), ("worst case", ControlledVehicle)])
 @pytest.mark.parametrize(
     ("env_id", "ego", "queue", "node"),
     [
@@ -150,20 +150,20 @@ LINE, ENTRY = Body(("o0", "ir0", 0), 75.0, 9.0, "o2"), Body(("ser", "ses", 0), 1
         ("roundabout-v1", ENTRY._replace(s=80.0), [(("ses", "se", 0), 5.0), (ENTRY.lane, 122.0)], "ee"),
     ],
 )
-def test_the_ego_leaves_a_queue_once_it_moves(door, driver, env_id, ego, queue, node):
+def test_the_ego_leaves_a_queue_once_it_moves(settings, driver, env_id, ego, queue, node):
     """The ego stands behind a queue and drives when the queue does. A standing `IDMVehicle` rolls back, which breaks
     a rule; where that matters the queue is of another class, which does not."""
-    env = placed(env_id, door, ego, [Body(lane, s, 0.0, ego.to) for lane, s in queue], driver)
+    env = placed(env_id, settings, ego, [Body(lane, s, 0.0, ego.to) for lane, s in queue], driver)
     arrived, _, speeds = goes(env, (node, 0.0), 30, release=8)
     assert abs(speeds[7]) < STANDS
     assert arrived > 8
 
 
-def crosses(door, lane, s):
+def crosses(settings, lane, s):
     """How often the ego is overridden before it has crossed, where one at 9 m/s is at s [m] of a lane with right of way
     100 m long."""
     to = {"o1": "o3", "o3": "o1"}[lane[0]]
-    return goes(placed("intersection-v2", door, LINE, [Body((*lane, 0), s, 9.0, to)]), ("il2", 0.0), 14)[1]
+    return goes(placed("intersection-v2", settings, LINE, [Body((*lane, 0), s, 9.0, to)]), ("il2", 0.0), 14)[1]
 
 
 FROM_WEST, FROM_EAST = ("o1", "ir1"), ("o3", "ir3")
@@ -171,27 +171,27 @@ FAR = {"exact": 64.0, "worst case": 55.0}
 """The ego goes before a vehicle that is not further along its lane than this [m]."""
 
 
-@pytest.mark.parametrize("door", SHIELDS)
+@pytest.mark.parametrize("settings", SHIELDS)
 @FEW
 @given(st.sampled_from([FROM_WEST, FROM_EAST]), st.floats(0.0, 1.0))
-def test_a_gap_that_is_large_enough_is_taken(door, lane, share):
-    assert crosses(door, lane, share * FAR[door]) == 0
+def test_a_gap_that_is_large_enough_is_taken(settings, lane, share):
+    assert crosses(settings, lane, share * FAR[settings]) == 0
 
 
-@pytest.mark.parametrize("door", SHIELDS)
+@pytest.mark.parametrize("settings", SHIELDS)
 @FEW
 @given(st.floats(0.0, 1.0))
-def test_the_ego_waits_at_a_gap_that_is_too_small(door, share):
-    assert crosses(door, FROM_WEST, 76.0 + 6.0 * share) > 0
-    assert crosses(door, FROM_EAST, 69.0 + 4.0 * share) > 0
+def test_the_ego_waits_at_a_gap_that_is_too_small(settings, share):
+    assert crosses(settings, FROM_WEST, 76.0 + 6.0 * share) > 0
+    assert crosses(settings, FROM_EAST, 69.0 + 4.0 * share) > 0
 
 
-@pytest.mark.parametrize("door", SHIELDS)
-def test_the_ego_waits_at_a_roundabout_only_for_a_near_vehicle(door):
+@pytest.mark.parametrize("settings", SHIELDS)
+def test_the_ego_waits_at_a_roundabout_only_for_a_near_vehicle(settings):
     """A vehicle on the far side of the ring is no reason to wait; a vehicle about to pass the entry is."""
     far, near = Body(("nx", "ne", 1), 0.0, 10.0, "nxr"), Body(("we", "sx", 1), 12.0, 10.0, "nxr")
-    first, kept_back, _ = goes(placed("roundabout-v1", door, ENTRY, [far]), ("ee", 0.0), 14)
-    then, held_back, _ = goes(placed("roundabout-v1", door, ENTRY, [near]), ("ee", 0.0), 14)
+    first, kept_back, _ = goes(placed("roundabout-v1", settings, ENTRY, [far]), ("ee", 0.0), 14)
+    then, held_back, _ = goes(placed("roundabout-v1", settings, ENTRY, [near]), ("ee", 0.0), 14)
     assert kept_back == 0
     assert held_back > 0
     assert then > first
@@ -199,4 +199,4 @@ def test_the_ego_waits_at_a_roundabout_only_for_a_near_vehicle(door):
 
 def test_the_worst_case_needs_a_larger_gap_than_simulated_traffic():
     """The gaps from 36 m to 48 m before the crossing point are taken only with known driver models."""
-    assert [crosses(door, FROM_EAST, 62.0) > 0 for door in SHIELDS] == [False, True]
+    assert [crosses(settings, FROM_EAST, 62.0) > 0 for settings in SHIELDS] == [False, True]

@@ -26,8 +26,8 @@ def rolling_back(step):
 
 
 @pytest.mark.parametrize(("hz", "step"), [(5, 0.018), (15, 0.018), (15, 0.007), (60, 0.01)])
-@pytest.mark.parametrize("door", ["env", "policy"])
-def test_a_leader_that_rolls_back_slowly_is_a_violator(hz, step, door):
+@pytest.mark.parametrize("placement", ["env", "policy"])
+def test_a_leader_that_rolls_back_slowly_is_a_violator(hz, step, placement):
     """At 0.09 to 0.6 m/s: each frame is less than 2 cm."""
     out = drive(
         lambda road: [Driven(road, 12.0, 1, -step * hz, rolling_back(step))],
@@ -35,7 +35,7 @@ def test_a_leader_that_rolls_back_slowly_is_a_violator(hz, step, door):
         seconds=9.0,
         speed=3.0,
         action=lambda k: FASTER,
-        door=door,
+        placement=placement,
     )
     assert out.verified
     assert out.clearance < -0.1
@@ -54,7 +54,7 @@ def test_a_leader_that_rolls_back_is_a_violator_for_a_filter_of_actions(hz, peri
         seconds=15.0 if hz == 15 else 30.0,
         speed=3.0,
         action=lambda k: IDLE,
-        door="actions",
+        placement="actions",
         config=ShieldConfig.for_meta_actions(),
     )
     assert out.verified

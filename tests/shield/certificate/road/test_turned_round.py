@@ -55,7 +55,7 @@ def drive(hz, gap, rate, inputs):
     leader = Sliding(road, [300.0 + gap, 0.0], 0.0, 30.0)
     leader.rate = rate
     road.vehicles.append(leader)
-    env.door.reset()
+    env.filter.reset()
     tiers = []
     for _ in range(4 * hz if inputs else 4):
         *_, done, _, info = env.step(np.zeros(2, np.float32) if inputs else 1)

@@ -41,7 +41,7 @@ def on_highway(inputs):
         ego.target_lane_index, ego.speed_index, ego.target_speed = ("0", "1", 1), 1, 25.0
     ego.on_state_update()
     road.vehicles = [ego, Parked(road, [318.0, 4.0], 0.0, 25.0), Parked(road, [900.0, 0.0], 0.0, 25.0)]
-    env.door.reset()
+    env.filter.reset()
     return env, road.vehicles[1], road.vehicles[2], np.zeros(2, np.float32) if inputs else 1
 
 
@@ -52,16 +52,16 @@ def on_highway(inputs):
 def test_an_unreadable_vehicle_on_a_highway_is_one_violation_and_the_others_are_judged(inputs, column, rule):
     env, leader, far, idle = on_highway(inputs)
     env.step(idle)
-    assert not env.door.by_rule
+    assert not env.filter.by_rule
     spoil(far, column)
     assert env.step(idle)[-1]["shield"]["reason"] == "bad_scene"
-    assert env.door.by_rule == {rule: 1}
+    assert env.filter.by_rule == {rule: 1}
     env.step(idle)
-    assert env.door.by_rule == {rule: 1}
+    assert env.filter.by_rule == {rule: 1}
     leader.speed = 0.0
     env.step(idle)
-    assert env.door.violations == 2
-    assert env.door.by_rule["speed"] == (2 if rule == "speed" else 1)
+    assert env.filter.violations == 2
+    assert env.filter.by_rule["speed"] == (2 if rule == "speed" else 1)
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_a_vehicle_of_impossible_size_or_speed_is_a_violator(column, value, rule
     setattr(far, column, value)
     far.step = lambda dt: None
     assert env.step(idle)[-1]["shield"]["reason"] == "bad_scene"
-    assert env.door.by_rule == {rule: 1}
+    assert env.filter.by_rule == {rule: 1}
 
 
 def test_a_long_body_counts_if_its_rear_is_near():
@@ -83,7 +83,7 @@ def test_a_long_body_counts_if_its_rear_is_near():
     env, leader, _, idle = on_highway(False)
     leader.LENGTH, leader.speed = 360.0, 0.0
     leader.position = np.array([300.0 + 30.0 + 180.0, 4.0])
-    env.door.reset()
+    env.filter.reset()
     env.step(idle)
     assert env.decisions[0].tier.fallback
 
@@ -111,12 +111,12 @@ def test_an_unreadable_vehicle_on_a_network_is_one_violation_and_the_others_are_
     )
     far, other = (Parked(road, lane.position(s, 0), lane.heading_at(s), 0.0) for s in (5.0, 15.0))
     road.vehicles = [ego, far, other]
-    env.door.reset()
+    env.filter.reset()
     env.step(1)
-    assert not env.door.by_rule
+    assert not env.filter.by_rule
     spoil(far, column)
     assert env.step(1)[-1]["shield"]["reason"] == "bad_scene"
-    assert env.door.by_rule == {rule: 1}
+    assert env.filter.by_rule == {rule: 1}
     other.speed = 20.0
     env.step(1)
-    assert env.door.by_rule == ({"speed": 2} if rule == "speed" else {rule: 1, "speed": 1})
+    assert env.filter.by_rule == ({"speed": 2} if rule == "speed" else {rule: 1, "speed": 1})

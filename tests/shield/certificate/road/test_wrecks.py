@@ -39,9 +39,9 @@ DRIVES = {
 
 @pytest.mark.parametrize("kind", DRIVES)
 @pytest.mark.parametrize("hz", [5, 15])
-@pytest.mark.parametrize("door", ["env", "policy"])
-def test_a_wreck_that_drives_on_against_the_rules_is_a_violator(kind, hz, door):
-    out = drive(lambda road: [Wreck(road, 45.0, 1, 20.0, DRIVES[kind])], hz, seconds=6.0, door=door)
+@pytest.mark.parametrize("placement", ["env", "policy"])
+def test_a_wreck_that_drives_on_against_the_rules_is_a_violator(kind, hz, placement):
+    out = drive(lambda road: [Wreck(road, 45.0, 1, 20.0, DRIVES[kind])], hz, seconds=6.0, placement=placement)
     assert out.verified
     assert out.violations > 0 or (kind == "goes backwards" and out.clearance > 0)
     assert not out.unnamed
@@ -86,14 +86,14 @@ def test_growth_of_a_body_is_noticed(length, width, grown):
 
 
 @pytest.mark.parametrize("hz", [5, 15])
-@pytest.mark.parametrize("door", ["env", "policy"])
-def test_a_leader_that_grows_is_a_violator(hz, door):
+@pytest.mark.parametrize("placement", ["env", "policy"])
+def test_a_leader_that_grows_is_a_violator(hz, placement):
     """By ten metres a second, at both ends."""
 
     def act(own, frame):
         own.LENGTH = 5.0 + 20.0 * max(frame / hz - 1.0, 0.0)
 
-    out = drive(lambda road: [Driven(road, 30.0, 1, 20.0, act)], hz, seconds=5.0, speed=20.0, door=door)
+    out = drive(lambda road: [Driven(road, 30.0, 1, 20.0, act)], hz, seconds=5.0, speed=20.0, placement=placement)
     assert out.verified
     assert out.rules.get("size", 0) > 0
     assert not out.unnamed

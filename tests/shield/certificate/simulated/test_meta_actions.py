@@ -91,7 +91,7 @@ def test_a_verified_plan_is_clear_in_highway_env(seed):
     while not done:
         policy.action = int(rng.integers(5))
         action = int(shield.predict(obs)[0])
-        decision, plans = shield.last_decision, shield._doors[0]._plans
+        decision, plans = shield.last_decision, shield._filters[0]._plans
         verified += decision.tier.verified
         if decision.tier.verified and verified % 2:
             copy = deepcopy(env)
@@ -177,15 +177,15 @@ def test_the_mask_holds_the_actions_that_pass(seed):
     these seeds requiring more would find more."""
     shielded = ShieldedEnv(CompiledHighwayEnv("highway-fast-v0", BOXED), EXACT)
     shielded.reset(seed=seed)
-    door, rng, boxes, done = shielded._door, np.random.default_rng(seed), 0, False
+    action_filter, rng, boxes, done = shielded._filter, np.random.default_rng(seed), 0, False
     while not done:
-        mask, (simulator, search) = shielded.action_masks(), door._read()
-        boxes += has_no_certificate(door._plans, 0)
+        mask, (simulator, search) = shielded.action_masks(), action_filter._read()
+        boxes += has_no_certificate(action_filter._plans, 0)
         found = []
         for action in range(5):
-            before = [array.copy() for array in door._plans]
-            found.append(try_proposal(search, door._plans, empty_records(1, 1), simulator.worlds, 0, action))
-            restore(door._plans, before)
+            before = [array.copy() for array in action_filter._plans]
+            found.append(try_proposal(search, action_filter._plans, empty_records(1, 1), simulator.worlds, 0, action))
+            restore(action_filter._plans, before)
         assert mask.tolist() == (found if any(found) else [True] * 5)
         *_, terminated, truncated, _ = shielded.step(int(rng.integers(5)))
         done = terminated or truncated
@@ -280,7 +280,7 @@ def test_a_scene_that_cannot_be_read_is_answered_with_the_stored_plan(planned):
     _, shield = shielded(env)
     if planned:
         obs = env.step(int(shield.predict(obs)[0]))[0]
-        stored = int(shield._doors[0]._plans.actions[0, 0])
+        stored = int(shield._filters[0]._plans.actions[0, 0])
     env.road.vehicles[3].position[0] = np.nan
     executed = int(shield.predict(obs)[0])
     assert shield.last_decision.reason is Reason.BAD_SCENE

@@ -47,20 +47,20 @@ def put(base, ahead, kind):
 class Runs:
     """An environment behind a shield of either kind, one decision after the other."""
 
-    def __init__(self, case, door, seed=0):
+    def __init__(self, case, placement, seed=0):
         env_id, config = CASES[case]
         env = gym.make(env_id, config=config, disable_env_checker=True)
         self.base = env.unwrapped
         inputs = config.get("action") or type(self.base.action_type).__name__ == "ContinuousAction"
         self.action = np.zeros(2, np.float32) if inputs else 1
-        self.env = ShieldedEnv(env, EXACT) if door == "env" else env
+        self.env = ShieldedEnv(env, EXACT) if placement == "env" else env
         self.obs, _ = self.env.reset(seed=seed)
-        self.shield = None if door == "env" else Shield(lambda _: self.action, env=env, config=EXACT)
+        self.shield = None if placement == "env" else Shield(lambda _: self.action, env=env, config=EXACT)
 
     @property
     def rules(self):
         """The violations of the episode so far."""
-        return (self.env._door if self.shield is None else self.shield._doors[0]).by_rule
+        return (self.env._filter if self.shield is None else self.shield._filters[0]).by_rule
 
     def step(self):
         """The report of the next decision."""
@@ -70,22 +70,22 @@ class Runs:
 
 
 @pytest.mark.parametrize("kind", [IDMVehicle, Obstacle])
-@pytest.mark.parametrize("door", ["env", "policy"])
+@pytest.mark.parametrize("placement", ["env", "policy"])
 @pytest.mark.parametrize("case", CASES)
-def test_a_body_that_appears_in_the_way_in_simulated_traffic_is_a_violator(case, door, kind):
+def test_a_body_that_appears_in_the_way_in_simulated_traffic_is_a_violator(case, placement, kind):
     """A wall appears close ahead of the ego between two decisions; the stored plan no longer keeps the buffer."""
-    run = Runs(case, door)
+    run = Runs(case, placement)
     assert run.step()["violations"] == 0
     put(run.base, 6.5, kind)
     run.step()
     assert run.rules.get("appeared", 0) > 0
 
 
-@pytest.mark.parametrize("door", ["env", "policy"])
+@pytest.mark.parametrize("placement", ["env", "policy"])
 @pytest.mark.parametrize("case", ["highway", "merge", "roundabout"])
-def test_a_body_that_appears_within_a_decision_and_is_hit_is_a_violator(case, door):
+def test_a_body_that_appears_within_a_decision_and_is_hit_is_a_violator(case, placement):
     """No decision falls between its appearance and the crash that ends the episode."""
-    run = Runs(case, door)
+    run = Runs(case, placement)
     own, frames = run.base.road.step, []
     assert run.step()["violations"] == 0
 
@@ -101,11 +101,11 @@ def test_a_body_that_appears_within_a_decision_and_is_hit_is_a_violator(case, do
     assert told["rules"].get("appeared", 0) > 0
 
 
-@pytest.mark.parametrize("door", ["env", "policy"])
+@pytest.mark.parametrize("placement", ["env", "policy"])
 @pytest.mark.parametrize("case", CASES)
-def test_a_body_that_appears_behind_the_ego_is_no_violator(case, door):
+def test_a_body_that_appears_behind_the_ego_is_no_violator(case, placement):
     """Behind the ego a body takes no plan away."""
-    run = Runs(case, door)
+    run = Runs(case, placement)
     run.step()
     ego = run.base.vehicle
     run.base.road.objects.append(Obstacle(run.base.road, ego.position - 30.0 * ego.direction))
@@ -115,10 +115,10 @@ def test_a_body_that_appears_behind_the_ego_is_no_violator(case, door):
     assert not ego.crashed
 
 
-@pytest.mark.parametrize("door", ["env", "policy"])
-def test_only_the_new_body_in_the_way_is_a_violator(door):
+@pytest.mark.parametrize("placement", ["env", "policy"])
+def test_only_the_new_body_in_the_way_is_a_violator(placement):
     """Of two that appear at once, one wall of bodies in the way, and one behind."""
-    run = Runs("highway", door)
+    run = Runs("highway", placement)
     run.step()
     ego = run.base.vehicle
     run.base.road.objects.append(Obstacle(run.base.road, ego.position - 60.0 * ego.direction))
@@ -129,14 +129,14 @@ def test_only_the_new_body_in_the_way_is_a_violator(door):
     assert run.rules["appeared"] == 1
 
 
-@pytest.mark.parametrize("door", ["env", "policy"])
-def test_a_new_vehicle_that_cannot_be_simulated_is_a_violator(door):
+@pytest.mark.parametrize("placement", ["env", "policy"])
+def test_a_new_vehicle_that_cannot_be_simulated_is_a_violator(placement):
     """A vehicle of an unknown class makes the scene unreadable; without it the scene would be simulated."""
 
     class Stranger(Vehicle):
         """A vehicle with its own driver model."""
 
-    run = Runs("highway", door)
+    run = Runs("highway", placement)
     run.step()
     ego = run.base.vehicle
     run.base.road.vehicles.append(Stranger(run.base.road, ego.position - 60.0 * ego.direction, 0.0, 20.0))
@@ -145,11 +145,11 @@ def test_a_new_vehicle_that_cannot_be_simulated_is_a_violator(door):
     assert run.rules == {"appeared": 1}
 
 
-@pytest.mark.parametrize("door", ["env", "policy"])
+@pytest.mark.parametrize("placement", ["env", "policy"])
 @pytest.mark.parametrize("case", ["highway", "merge", "roundabout"])
-def test_a_body_that_grows_or_an_obstacle_that_moves_is_a_prediction_mismatch(case, door):
+def test_a_body_that_grows_or_an_obstacle_that_moves_is_a_prediction_mismatch(case, placement):
     """A vehicle grows, and then a standing obstacle is moved; neither was predicted."""
-    run = Runs(case, door)
+    run = Runs(case, placement)
     ego = run.base.vehicle
     stone = Obstacle(run.base.road, ego.position - 60.0 * ego.direction)
     run.base.road.objects.append(stone)
@@ -185,10 +185,10 @@ def test_a_body_that_appears_before_one_of_several_egos_is_a_violator():
     assert info["shield"]["violations"] == 0
     ego = base.controlled_vehicles[1]
     ego.speed = 9.0
-    env._door.reset()
-    env._door.decide((1, 1))
+    env._filter.reset()
+    env._filter.decide((1, 1))
     base.road.objects.append(Obstacle(base.road, ego.position + 5.5 * ego.direction))
-    before = env._door.by_rule
-    env._door.decide((1, 1))
+    before = env._filter.by_rule
+    env._filter.decide((1, 1))
     assert not before
-    assert env._door.by_rule == {"appeared": 1}
+    assert env._filter.by_rule == {"appeared": 1}

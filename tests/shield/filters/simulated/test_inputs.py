@@ -72,11 +72,11 @@ def test_no_vehicle_comes_into_the_buffer_of_verified_inputs(env_id, policy):
         tiers.append(decision.tier)
         shield = env
         # The ego included, to the last bit; a float32 error would show after some frames.
-        assert not env._door._scene.surprised
+        assert not env._filter._scene.surprised
         assert base.vehicle.on_road
         if decision.tier.verified:
             assert least >= -1e-9
-    assert shield._door.violations == 0
+    assert shield._filter.violations == 0
     assert Tier.PASSED in tiers
     assert Tier.GOVERNED in tiers or env_id == "exit-v1"
 
@@ -108,18 +108,18 @@ def test_the_stored_plan_stays_clear_until_the_horizon(env_id):
     """The plan stored with a frame is driven in a copy of highway-env."""
     tried = 0
     for n, (env, base, decision, _) in enumerate(watched(env_id, 830, "throttle", 8)):
-        door = env._door
-        if n % 37 or not decision.tier.verified or base.steps % door._period:
+        action_filter = env._filter
+        if n % 37 or not decision.tier.verified or base.steps % action_filter._period:
             continue
         copy = deepcopy(base)
-        present = door._present._replace(futures=deepcopy(door._present.futures))
-        tail, inputs, tried = deepcopy(door._tail), np.zeros(2), tried + 1
+        present = action_filter._present._replace(futures=deepcopy(action_filter._present.futures))
+        tail, inputs, tried = deepcopy(action_filter._tail), np.zeros(2), tried + 1
         for _ in range(int(tail.counts[0]) * present.rules.numbers[0]):
             advance_backup(present, tail, inputs)
             push(copy, inputs)
             assert copy.vehicle.on_road
             assert gap(copy, EXACT.buffer) >= -1e-9
-            if hasattr(copy, "_clear_vehicles") and copy.steps % door._period == 0:
+            if hasattr(copy, "_clear_vehicles") and copy.steps % action_filter._period == 0:
                 copy._clear_vehicles()
     assert tried
 
@@ -144,7 +144,7 @@ def driven_in_a_wild_scene(env_id, seed):
     base.road.step = step
     for _ in range(3):
         env.step(rng.uniform(-1, 1, 2).astype(np.float32))
-    assert env._door.violations == 0
+    assert env._filter.violations == 0
     return driven
 
 
@@ -205,7 +205,7 @@ def test_an_invalid_input_is_replaced_in_simulated_traffic(action):
     env.reset(seed=1)
     env.step(np.array([0.5, 0.0], np.float32))
     *_, info = env.step(action)
-    read = env._door.actuators.read(action)
+    read = env._filter.actuators.read(action)
     assert (info["shield"]["reason"] == "bad_action") == (read is None)
     assert not env.unwrapped.vehicle.crashed
 
@@ -224,7 +224,7 @@ def test_a_scene_that_cannot_be_read_is_braked_in():
         *_, info = env.step(np.array([1.0, 0.0], np.float32))
         assert info["shield"]["reason"] == "bad_scene"
         assert env.frame_decisions[0].tier is (Tier.EMERGENCY if first else Tier.STORED_PLAN)
-        assert "Stranger" in env._door.cause
+        assert "Stranger" in env._filter.cause
         assert base.vehicle.speed < speed
         # The plan stored for an earlier scene is not the fallback in a scene not seen since.
         base.road.vehicles.pop()
@@ -237,7 +237,7 @@ def test_a_prediction_mismatch_between_two_frames_is_counted():
     env.reset(seed=2)
     base = env.unwrapped
     env.step(np.array([0.3, 0.0], np.float32))
-    assert env._door.violations == 0
+    assert env._filter.violations == 0
     advance, frames = base.road.step, []
 
     def step(dt):
@@ -248,7 +248,7 @@ def test_a_prediction_mismatch_between_two_frames_is_counted():
 
     base.road.step = step
     *_, info = env.step(np.array([0.3, 0.0], np.float32))
-    assert info["shield"]["violations"] == env._door.violations == 1
+    assert info["shield"]["violations"] == env._filter.violations == 1
 
 
 def test_a_stored_plan_is_dropped_after_a_prediction_mismatch():
@@ -270,16 +270,16 @@ def test_the_braking_law_continues_after_highway_env_is_read_again():
         gym.make("highway-v0", config={"action": {"type": "ContinuousAction"}, "policy_frequency": 5}), EXACT
     )
     env.reset(seed=3)
-    door, ended = env._door, 0
+    action_filter, ended = env._filter, 0
     env.step(np.array([0.3, 0.0], np.float32))
     for _ in range(25):
         env.step(np.array([np.nan, 0.0], np.float32))
-        before = door._law()
-        ended += door._tail.counts[1] == 0
-        search, present = door._read(True)
-        assert search is door._search
-        assert present is door._present
-        assert door._law() == before
+        before = action_filter._law()
+        ended += action_filter._tail.counts[1] == 0
+        search, present = action_filter._read(True)
+        assert search is action_filter._search
+        assert present is action_filter._present
+        assert action_filter._law() == before
         assert before[0] == 1
     assert ended > 1
 
@@ -353,6 +353,6 @@ def test_meta_actions_pass_both_wrappers_alike(env_id):
             env.step(shield.predict(obs)[0])
             assert np.array_equal(one.unwrapped.vehicle.position, env.unwrapped.vehicle.position)
         assert not terminated
-    assert shielded._door.violations == 0
+    assert shielded._filter.violations == 0
     with pytest.raises(AttributeError, match="core"):
         _ = shielded.core

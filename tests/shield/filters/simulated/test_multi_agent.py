@@ -51,7 +51,7 @@ def drive(egos, seed, policy, env_id=IDS[0]):
         done = base._is_terminated() or truncated
         assert done == ("shield_episode" in info)
     assert not any(vehicle.crashed for vehicle in base.controlled_vehicles)
-    assert env._door.violations == 0
+    assert env._filter.violations == 0
 
 
 @pytest.mark.parametrize("egos", [4, *later(2)])
@@ -82,9 +82,9 @@ def test_the_joint_plans_are_clear():
     for n, (env, base, _) in enumerate(drive(4, 908, lambda rng: FASTER)):
         if n % 3 or not all(decision.tier.verified for decision in env.last_decisions):
             continue
-        copy, plans, driven = deepcopy(base), [p.actions[0, : p.length[0]] for p in env._door._plans], driven + 1
+        copy, plans, driven = deepcopy(base), [p.actions[0, : p.length[0]] for p in env._filter._plans], driven + 1
         # Except vehicles that have appeared since the decision.
-        known = list(env._door._scene._foretold_of)
+        known = list(env._filter._scene._foretold_of)
         there = [v in known for v in base.road.vehicles]
         copy.road.vehicles = [v for v, old in zip(copy.road.vehicles, there, strict=True) if old]
         for actions in list(zip(*plans, strict=False))[:8]:
@@ -123,8 +123,8 @@ def test_the_plan_of_one_ego_is_verified_for_all_egos():
     for near in (False, True):
         base.road.vehicles = [first, second] + ([stander] if near else [])
         second.speed = 0.0
-        env._door.reset()
-        decisions = env._door.decide((FASTER, 0))
+        env._filter.reset()
+        decisions = env._filter.decide((FASTER, 0))
         assert np.hypot(*(first.position - second.position)) > 40
         assert decisions[0].tier is (Tier.LARGEST_MARGIN if near else Tier.PASSED)
 

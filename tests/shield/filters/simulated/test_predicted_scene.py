@@ -46,7 +46,7 @@ def test_a_verified_plan_on_a_network_is_clear_in_highway_env(env_id):
     """The plan of every sixth decision is driven in a copy of highway-env; no vehicle comes into the buffer."""
     verified = 0
     for k, (env, shield, taken) in enumerate(episode(env_id, 800)):
-        decision, plans = shield.last_decision, shield._doors[0]._plans
+        decision, plans = shield.last_decision, shield._filters[0]._plans
         if decision.tier.verified and k % 6 == 0:
             copy, verified = deepcopy(env), verified + 1
             then = plans.actions[0, : plans.length[0]].tolist()
@@ -61,7 +61,7 @@ def test_always_faster_drives_as_predicted_and_without_contact(env_id):
         for _, shield, _ in episode(env_id, seed, "FASTER"):
             overridden += shield.last_decision.overridden
         assert shield.report()["violations"] == 0
-        assert shield._doors[0].violations == 0
+        assert shield._filters[0].violations == 0
     assert overridden > 0 or "exit" in env_id or "generic" in env_id
 
 
@@ -79,10 +79,10 @@ def test_the_horizon_ends_where_the_road_does():
 def test_a_prediction_mismatch_on_a_network_is_counted():
     for k, (env, shield, _) in enumerate(episode("roundabout-v1", 820, "IDLE")):
         if k == 2:
-            assert shield._doors[0].violations == 0
+            assert shield._filters[0].violations == 0
             env.road.vehicles[-1].speed += 0.5
         if k == 3:
-            assert shield._doors[0].violations >= 1
+            assert shield._filters[0].violations >= 1
             return
 
 
@@ -93,11 +93,11 @@ def test_vehicles_that_enter_or_leave_an_intersection_are_no_violators():
     for k, (env, shield, _) in enumerate(episode("intersection-v0", 837, "SLOWER")):
         first = first or list(env.road.vehicles)
         if offended:
-            assert shield._doors[0].violations >= 1
+            assert shield._filters[0].violations >= 1
             assert any(v not in first for v in env.road.vehicles)
             assert any(v not in env.road.vehicles for v in first)
             return
-        assert shield._doors[0].violations == 0
+        assert shield._filters[0].violations == 0
         env.config["duration"] = 40
         if k == 20:
             env.road.vehicles[0].position = env.road.vehicles[0].position + 0.01
@@ -139,7 +139,7 @@ def verified_in_a_wild_scene(env_id, seed):
     pair, rng = wild_scene(env_id, seed)
     shield = Shield(Always(int(rng.integers(pair.env.action_space.n))), pair.env, EXACT, frames=False)
     taken = int(shield.predict(UNSEEN)[0])
-    decision, plans = shield.last_decision, shield._doors[0]._plans
+    decision, plans = shield.last_decision, shield._filters[0]._plans
     if not decision.tier.verified or pair.env.vehicle.crashed:
         return False
     then = plans.actions[0, : plans.length[0]].tolist()

@@ -48,26 +48,26 @@ PIPELINES = {
 }
 
 
-@pytest.mark.parametrize("door", PIPELINES)
-def test_no_verified_decision_has_a_negative_margin(door):
-    found, far = [], 150.0 if door.startswith("held") else 60.0
+@pytest.mark.parametrize("pipeline", PIPELINES)
+def test_no_verified_decision_has_a_negative_margin(pipeline):
+    found, far = [], 150.0 if pipeline.startswith("held") else 60.0
     for gap in np.arange(9.0, far, 0.21):
         cars = (gap, 0.0, 0.0, 14.0), (gap + 4.0, 4.0, 0.0, 14.0), (gap - 60.0, 4.0, 0.0, 26.0)
-        found.append(PIPELINES[door](scene_of((0.0, 0.0, 0.0, 20.0), *cars, speed=25.0, lanes=2)))
+        found.append(PIPELINES[pipeline](scene_of((0.0, 0.0, 0.0, 20.0), *cars, speed=25.0, lanes=2)))
     verified = [d for d in found if d.tier.verified]
     assert verified
     assert len(verified) < len(found)
     assert min(d.margin for d in verified) >= 0
 
 
-@pytest.mark.parametrize("door", ["frame", "throttle"])
-def test_a_plan_that_nearly_verifies_does_not_displace_one_that_does(door):
+@pytest.mark.parametrize("pipeline", ["frame", "throttle"])
+def test_a_plan_that_nearly_verifies_does_not_displace_one_that_does(pipeline):
     """Where braking verifies, a verified plan is executed."""
     found = []
     for gap in np.arange(9.0, 30.0, 0.1):
         scene = scene_of((0.0, 0.0, 0.0, 20.0), (gap, 0.0, 0.0, 14.0), speed=25.0, lanes=1)
         if along(scene, braked(scene)) >= 1e-6:
-            found.append(PIPELINES[door](scene).tier)
+            found.append(PIPELINES[pipeline](scene).tier)
     assert all(tier.verified for tier in found)
     assert Tier.GOVERNED in found
 

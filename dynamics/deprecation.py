@@ -58,7 +58,9 @@ def accept_former_keywords(present: Mapping[str, str], owner: str = "") -> Calla
     def decorate(function: Function) -> Function:
         @functools.wraps(function)
         def call(*args: Any, **given: Any) -> Any:
-            return function(*args, **with_present_names(given, present, owner or function.__name__))
+            if not present.keys().isdisjoint(given):
+                given = with_present_names(given, present, owner or function.__name__)
+            return function(*args, **given)
 
         return call  # type: ignore[return-value]
 

@@ -12,12 +12,22 @@ from typing import Any
 
 import tomli_w
 
-from dynamics.deprecation import accept_former_keywords, warn_of_former_name, with_present_names
+from dynamics.deprecation import accept_former_fields, accept_former_keywords, warn_of_former_name, with_present_names
 from dynamics.errors import nearest_name_hint
 from dynamics.traffic.assumptions import FORMER_ASSUMPTIONS, Assumptions, present_profile
 from shield.errors import ConfigError
 
-__all__ = ["MODES", "PERCEPTIONS", "PROFILES", "RULES_ALONE", "SIMULATED", "WORST_CASE", "Buffer", "ShieldConfig"]
+__all__ = [
+    "FORMER_SETTINGS",
+    "MODES",
+    "PERCEPTIONS",
+    "PROFILES",
+    "RULES_ALONE",
+    "SIMULATED",
+    "WORST_CASE",
+    "Buffer",
+    "ShieldConfig",
+]
 
 RULES_ALONE = ("distance", "rss", "ttc", "ttc-ranking")
 """Modes in which one rule decides alone."""
@@ -35,6 +45,8 @@ PERCEPTIONS = ("simulator", "observation")
 traffic."""
 NORMS = ("range", "acceleration")
 """Valid `ShieldConfig.norm`."""
+FORMER_SETTINGS = {"patience": "failure_limit"}
+"""Present names of fields of `ShieldConfig`, by the former name."""
 
 
 def _positive(owner: str, name: str, value: Any, *, zero: bool = False) -> None:
@@ -56,6 +68,7 @@ class Buffer:
         _positive("Buffer", "lateral", self.lateral, zero=True)
 
 
+@accept_former_fields(FORMER_SETTINGS)
 @dataclass(frozen=True, slots=True)
 class ShieldConfig:
     """Settings of `Shield` and `ShieldedEnv`.
@@ -84,7 +97,8 @@ class ShieldConfig:
     record : keep the others' occupancy in each `Decision` (for drawing), or the prediction in simulated traffic. Has no
         effect in a parking lot.
     clearance : the distance that no verified action may violate in a parking lot, on all sides [m].
-    patience : consecutive decisions in which the fallback acts if the scene, or the policy's action, cannot be read.
+    failure_limit : consecutive decisions in which the fallback acts if the scene, or the policy's action, cannot be
+        read.
         One more raises the error. 0 for any number.
     """
 
@@ -102,7 +116,7 @@ class ShieldConfig:
     norm: str = "range"
     record: bool = False
     clearance: float = 0.1
-    patience: int = 30
+    failure_limit: int = 30
 
     def __post_init__(self) -> None:
         if self.mode not in MODES:
@@ -119,8 +133,10 @@ class ShieldConfig:
             raise ConfigError(f"ShieldConfig.assumptions must be Assumptions, got {self.assumptions!r}")
         if not isinstance(self.record, bool):
             raise ConfigError(f"ShieldConfig.record must be true or false, got {self.record!r}")
-        if type(self.patience) is not int or self.patience < 0:
-            raise ConfigError(f"ShieldConfig.patience must be a whole number of decisions, got {self.patience!r}")
+        if type(self.failure_limit) is not int or self.failure_limit < 0:
+            raise ConfigError(
+                f"ShieldConfig.failure_limit must be a whole number of decisions, got {self.failure_limit!r}"
+            )
         for name in (
             "clearance",
             "braking",
@@ -225,7 +241,9 @@ class ShieldConfig:
             assumptions = Assumptions.profile(given)
         else:
             assumptions = _build(Assumptions, "assumptions", given, FORMER_ASSUMPTIONS)
-        found: ShieldConfig = _build(cls, "config", {**data, "buffer": buffer, "assumptions": assumptions})
+        found: ShieldConfig = _build(
+            cls, "config", {**data, "buffer": buffer, "assumptions": assumptions}, FORMER_SETTINGS
+        )
         return found
 
     @classmethod

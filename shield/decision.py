@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from dynamics.deprecation import warn_of_former_name
+from dynamics.deprecation import accept_former_fields, warn_of_former_name
 from dynamics.state import FloatArray
 from shield.errors import ConfigError
 
@@ -192,6 +192,14 @@ def weakest(*guarantees: Guarantee) -> Guarantee:
     return max(guarantees, key=_WEAKER.index)
 
 
+@accept_former_fields(
+    {
+        "sight": "scene_guarantee",
+        "weakest": "weakest_guarantee",
+        "done": "step_intervention",
+        "held": "first_overridden",
+    }
+)
 @dataclass(frozen=True, slots=True)
 class Decision:
     """One decision of the shield, about an action or about one simulation frame; or the record of a whole step.
@@ -216,14 +224,15 @@ class Decision:
     clause : the binding clause of the margin: "separation", "slip-in", "room", "edge", "gap of the map", "rollback"; ""
         without one.
     vehicle : row of the binding vehicle among the scene's others, -1 without one.
-    sight : what a certificate for this scene rests on.
+    scene_guarantee : what a certificate for this scene rests on.
     level : probability with which each side of each body is within its bounds, 1 if the states are exact.
     alarm : whether the sensor did not behave as assumed (`shield.perception.sensor_monitor`). Then the bounds are the
         widest, and there is no guarantee.
     frames_overridden : in the record of a step, the number of its frames that got other inputs.
-    weakest : in the record of a step, the weakest guarantee of the decision and its frames; None elsewhere.
-    done : in the record of a step, the intervention; None elsewhere.
-    frames : in the record of a step, the number of its frames so far. held : the first that was overridden.
+    weakest_guarantee : in the record of a step, the weakest guarantee of the decision and its frames; None elsewhere.
+    step_intervention : in the record of a step, the intervention; None elsewhere.
+    frames : in the record of a step, the number of its frames so far.
+    first_overridden : the first of these frames that was overridden; None if none was.
     source : data for `explain`; None without any.
     refusal : the decision that `explain` is about, and its frame. In the record of a step, the one that its reason and
         tier come from.
@@ -239,14 +248,14 @@ class Decision:
     occupancy: FloatArray | None = field(default=None, repr=False, compare=False)
     clause: str = ""
     vehicle: int = -1
-    sight: Guarantee = Guarantee.ALL_SEEN
+    scene_guarantee: Guarantee = Guarantee.ALL_SEEN
     level: float = 1.0
     alarm: bool = False
     frames_overridden: int = 0
-    weakest: Guarantee | None = None
-    done: Intervention | None = None
+    weakest_guarantee: Guarantee | None = None
+    step_intervention: Intervention | None = None
     frames: int = 0
-    held: Decision | None = field(default=None, repr=False, compare=False)
+    first_overridden: Decision | None = field(default=None, repr=False, compare=False)
     source: Source | None = field(default=None, repr=False, compare=False)
     refusal: tuple[Decision, int] | None = field(default=None, repr=False, compare=False)
 
@@ -254,20 +263,22 @@ class Decision:
     def guarantee(self) -> Guarantee:
         """Guarantee of the executed plan. It is none if no plan was verified, at this frame or an earlier one, or if
         the stored plan that is continued does not verify any more."""
-        if self.weakest is not None:
-            return self.weakest
+        if self.weakest_guarantee is not None:
+            return self.weakest_guarantee
         lost = self.tier is Tier.STORED_PLAN and self.reason is Reason.NO_SAFE_PLAN and self.margin < -ROUNDING
-        return self.sight if self.tier.certified and not isnan(self.margin) and not lost else Guarantee.NONE
+        return self.scene_guarantee if self.tier.certified and not isnan(self.margin) and not lost else Guarantee.NONE
 
     @property
     def overridden(self) -> bool:
         """Whether something other than the proposal was executed."""
-        return self.tier not in (Tier.OFF, Tier.PASSED) if self.done is None else self.done is not Intervention.NONE
+        if self.step_intervention is None:
+            return self.tier not in (Tier.OFF, Tier.PASSED)
+        return self.step_intervention is not Intervention.NONE
 
     @property
     def intervention(self) -> Intervention:
         """What was done to the proposal."""
-        return self.done if self.done is not None else self.with_frames(()).intervention
+        return self.step_intervention if self.step_intervention is not None else self.with_frames(()).intervention
 
     def with_frames(self, frames: Sequence[Decision]) -> Decision:
         """The record of a step: this decision, and those about its frames so far.
@@ -300,10 +311,10 @@ class Decision:
             level=min(d.level for d in parts),
             alarm=any(d.alarm for d in parts),
             frames_overridden=len(held),
-            weakest=weakest(*(d.guarantee for d in parts)),
-            done=done,
+            weakest_guarantee=weakest(*(d.guarantee for d in parts)),
+            step_intervention=done,
             frames=len(frames),
-            held=held[0] if held else None,
+            first_overridden=held[0] if held else None,
             refusal=None if shown is None else (shown if shown.refusal is None else shown.refusal[0], number),
         )
 
@@ -320,7 +331,7 @@ class Decision:
         """
         from shield.explanation import as_proposed
 
-        record = self if self.done is not None else self.with_frames(())
+        record = self if self.step_intervention is not None else self.with_frames(())
         if record.refusal is None:
             return as_proposed(record)
         at, frame = record.refusal

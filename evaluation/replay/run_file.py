@@ -18,7 +18,7 @@ from evaluation.replay.html import write_page
 from evaluation.report.table import made_of, read_episodes
 from evaluation.running.driver import policy_name
 from evaluation.running.identity import differences, of_environment, policy_files, versions
-from evaluation.running.manifest import with_present_assumptions
+from evaluation.running.manifest import with_present_settings
 from evaluation.running.parts import Parts
 from evaluation.running.records import EpisodeRecord, ShieldVariant, variant_for
 from evaluation.running.store_rows import is_store
@@ -146,7 +146,7 @@ def _as_compared(made: Mapping[str, Any], rows: list[dict[str, Any]]) -> dict[st
 
 
 def _config(shield: Mapping[str, Any]) -> ShieldConfig:
-    return ShieldConfig.from_toml(tomli_w.dumps(with_present_assumptions(shield)))
+    return ShieldConfig.from_toml(tomli_w.dumps(with_present_settings(shield)))
 
 
 def _shielded(rows: list[dict[str, Any]]) -> str:

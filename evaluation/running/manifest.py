@@ -15,8 +15,9 @@ from typing import Any
 from dynamics.errors import ConfigError
 from dynamics.traffic.assumptions import FORMER_ASSUMPTIONS
 from evaluation.running.identity import differences, versions
+from shield.config import FORMER_SETTINGS
 
-__all__ = ["SECTIONS", "check_fits", "commit", "extended", "provenance", "with_present_assumptions"]
+__all__ = ["SECTIONS", "check_fits", "commit", "extended", "provenance", "with_present_settings"]
 
 SECTIONS = {"settings": "setting", "policies": "policy", "shields": "shield"}
 """Sections with named entries. A continued run may have other entries; entries of the same name have to be equal."""
@@ -107,12 +108,14 @@ def extended(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any
     return {**now, "asked": whole, "earlier": list(commands), "models": models}
 
 
-def with_present_assumptions(settings: Any) -> Any:
-    """Settings of a shield from a manifest, with the present names of assumptions; it may be of an earlier version."""
-    if not isinstance(settings, Mapping) or not isinstance(settings.get("assumptions"), Mapping):
+def with_present_settings(settings: Any) -> Any:
+    """Settings of a shield from a manifest, which may be of an earlier version, with the present names."""
+    if not isinstance(settings, Mapping):
         return settings
-    named = {FORMER_ASSUMPTIONS.get(name, name): value for name, value in settings["assumptions"].items()}
-    return {**settings, "assumptions": named}
+    named = {FORMER_SETTINGS.get(name, name): value for name, value in settings.items()}
+    if isinstance(named.get("assumptions"), Mapping):
+        named["assumptions"] = {FORMER_ASSUMPTIONS.get(name, name): x for name, x in named["assumptions"].items()}
+    return named
 
 
 def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
@@ -124,7 +127,7 @@ def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]
             found += differences({key: one}, {key: two})
             continue
         if key == "shields":
-            one, two = ({name: with_present_assumptions(table) for name, table in each.items()} for each in (one, two))
+            one, two = ({name: with_present_settings(table) for name, table in each.items()} for each in (one, two))
         for name in sorted(one.keys() & two.keys()):
             found += [f"{word} {name}: {each}" for each in differences(one[name], two[name])]
     return found

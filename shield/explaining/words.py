@@ -57,7 +57,7 @@ def executed_text(at: Decision, record: Decision, name: Any, speed: float) -> st
     if _acceleration(command) is None:
         if record.intervention is Intervention.OTHER_ACTION:
             return f"{name(record.executed)} instead"
-        command = None if record.held is None else record.held.executed
+        command = None if record.first_overridden is None else record.first_overridden.executed
     acceleration = _acceleration(command)
     frames = f" in {record.frames_overridden} of {record.frames} frames" if record.frames else ""
     if acceleration is not None:

@@ -195,8 +195,8 @@ class MetaActionFilter:
         if self._scenes is None or isinstance(scene, Unreadable):
             return decision
         perception = self._scenes.perception
-        sight, level = perception.rating
-        return replace(decision, sight=sight, level=level, alarm=perception.alarmed)
+        guarantee, level = perception.rating
+        return replace(decision, scene_guarantee=guarantee, level=level, alarm=perception.alarmed)
 
     def _tracked(self) -> Target:
         """Target command that the ego's controllers track."""

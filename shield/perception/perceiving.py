@@ -74,10 +74,10 @@ class ObservationPerception:
         self._watched = self.config.monitor or self.learned.noise is not None or self.learned.conformal is not None
         centers = road.centers + road.origin[1]
         self._motions = MotionModels(
-            self.config.calm, brisk=self.config.brisk, centers=centers, cruise=self.config.cruise
+            self.config.lane_keeping, brisk=self.config.manoeuvring, centers=centers, cruise=self.config.usual_speed
         )
         usual = 0 if self.config.noise is None else _MISSED_LIMIT
-        self._patience = usual if self.config.patience is None else self.config.patience
+        self._missed_limit = usual if self.config.missed_limit is None else self.config.missed_limit
         self.reset()
 
     def reset(self) -> None:
@@ -179,7 +179,7 @@ class ObservationPerception:
         last = self.tracks
         if passed or not len(last.ids):
             places, noise = sighting.places if self.spec.sorted else None, np.diag(np.square(self.noise))
-            rest = self._patience, places, self._watched
+            rest = self._missed_limit, places, self._watched
             self.tracks = update_tracks(last, states, noise, passed, self._motions, *rest)
             self._learn()
         self.edges = edges(self.spec, sighting)
@@ -191,7 +191,7 @@ class ObservationPerception:
         self.behind.go_on(self.config.unseen, self.edges[1], along, passed, lost, new)
         self._anybody = self._anybody or len(self.tracks.ids) > 0
         if self.config.noise is None and not self.config.delay:
-            # A noisy sensor misses a vehicle now and then: see `PerceptionConfig.patience`.
+            # A noisy sensor misses a vehicle now and then: see `PerceptionConfig.missed_limit`.
             gone = lost + np.array([x, 0.0, 0.0])
             self.vanished.go_on(gone, self.tracks.mean[:, :2], x, self.edges, passed)
 

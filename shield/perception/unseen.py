@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.compiled import kernel_no_refcount
+from dynamics.deprecation import accept_former_fields
 from dynamics.roads.straight import nearest
 from dynamics.state import FloatArray, RoadState
 from shield.errors import ConfigError
@@ -34,6 +35,7 @@ _BESIDE = 6.0
 [m]."""
 
 
+@accept_former_fields({"room": "clear_behind", "surge": "speed_gain", "strays": "may_change_lanes"})
 @dataclass(frozen=True, slots=True)
 class Unseen:
     """Assumptions about unseen vehicles.
@@ -42,10 +44,10 @@ class Unseen:
     ----------
     slowest : least speed of unseen vehicles ahead [m/s]. A slower visible vehicle lowers it.
     fastest : greatest speed of a vehicle never seen that approaches from behind [m/s].
-    room : at the reset no unseen vehicle is nearer behind the ego than this [m].
-    surge : greatest increase of the speed of a passed vehicle since it was last seen [m/s].
+    clear_behind : at the reset no unseen vehicle is nearer behind the ego than this [m].
+    speed_gain : greatest increase of the speed of a passed vehicle since it was last seen [m/s].
     acceleration : acceleration of that increase [m/s^2].
-    strays : whether a passed vehicle may have changed lanes since.
+    may_change_lanes : whether a passed vehicle may have changed lanes since.
 
     Raises
     ------
@@ -55,13 +57,13 @@ class Unseen:
 
     slowest: float = 18.0
     fastest: float = 30.0
-    room: float = 200.0
-    surge: float = 1.0
+    clear_behind: float = 200.0
+    speed_gain: float = 1.0
     acceleration: float = 3.0
-    strays: bool = False
+    may_change_lanes: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("slowest", "fastest", "room", "surge", "acceleration"):
+        for name in ("slowest", "fastest", "clear_behind", "speed_gain", "acceleration"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < np.inf:
                 raise ConfigError(f"Unseen.{name} must be a finite number from 0 on, got {value!r}")
@@ -72,7 +74,9 @@ class Unseen:
     def worst(cls) -> Unseen:
         """Least restrictive assumptions: a vehicle may be right beyond each edge of sight at any time, standing ahead,
         and at 40 m/s behind."""
-        return cls(slowest=0.0, fastest=40.0, room=0.0, surge=40.0, acceleration=1e3, strays=True)
+        return cls(
+            slowest=0.0, fastest=40.0, clear_behind=0.0, speed_gain=40.0, acceleration=1e3, may_change_lanes=True
+        )
 
 
 def edges(spec: ObservationSpec, sighting: DecodedObservation) -> tuple[float, float]:
@@ -147,7 +151,7 @@ class UnseenBehind:
             lateral position [m], and speed along the road [m/s].
         """
         if np.isnan(self.stranger):
-            self.stranger = -unseen.room
+            self.stranger = -unseen.clear_behind
         else:
             self.stranger += (unseen.fastest - ego_speed) * passed
         pool = self.passed
@@ -162,7 +166,7 @@ class UnseenBehind:
                 pool = np.delete(pool, away.argmin(), axis=0)
         gone = lost[lost[:, 0] < 0]
         if len(gone):
-            pool = np.concatenate([pool, np.column_stack([gone, gone[:, 2] + unseen.surge])])
+            pool = np.concatenate([pool, np.column_stack([gone, gone[:, 2] + unseen.speed_gain])])
         # A nearer vehicle would be seen.
         self.stranger = min(self.stranger, -back)
         pool[:, 0] = np.minimum(pool[:, 0], -back)
@@ -172,7 +176,7 @@ class UnseenBehind:
         """Road states of vehicles that may be behind, (n, 4), at most `reach` behind the ego [m]."""
         s, lanes = float(ego[RoadState.S]), road.centers
         rows = [(s + self.stranger, r, 0.0, unseen.fastest) for r in lanes if self.stranger > -reach]
-        beside = (1.5 if unseen.strays else 0.5) * road.width
+        beside = (1.5 if unseen.may_change_lanes else 0.5) * road.width
         rows += [
             (s + gap, center, 0.0, speed)
             for gap, r, speed, _ in self.passed

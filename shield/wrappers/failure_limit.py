@@ -51,7 +51,7 @@ class FailureLimit:
         if 0 < self._most < self._count:
             raise _ERRORS[decision.reason](
                 f"{self._count} decisions in a row: {decision.reason.text}{f' ({cause})' if cause else ''}. "
-                "ShieldConfig.patience is how many are left to the fallback before this is raised; 0 never raises it"
+                "ShieldConfig.failure_limit is how many are left to the fallback before this is raised; 0: never"
             )
 
 

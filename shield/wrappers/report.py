@@ -132,7 +132,7 @@ def multi_agent_record(decisions: Sequence[Decision]) -> Decision:
         executed=executed,
         frames=0,
         frames_overridden=0,
-        held=None,
+        first_overridden=None,
         refusal=None if first is None else (replace(first, source=_FirstRefusal(first)), 0),
     )
 

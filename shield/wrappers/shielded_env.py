@@ -165,7 +165,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._road: Any = None
         self._supervising = self.latency = 0.0
         self._episode, self._summed = Statistics(), False
-        self._patience = FailureLimit(self.config.patience)
+        self._failure_limit = FailureLimit(self.config.failure_limit)
         self._action_warning = ActionWarning()
         self.decisions: list[Decision] = []
         self.frame_decisions: list[Decision] = []
@@ -231,7 +231,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
                 self._filter.show(self._observation)
             decisions = [self._filter.decide(action, self._order_of(action))]
             executed = decisions[0].executed
-        self._patience.check(decisions[0], self._filter.cause)
+        self._failure_limit.check(decisions[0], self._filter.cause)
         self._action_warning.check(decisions, self._base)
         self.decisions, self.frame_decisions = decisions, []
         self._supervising, self._road = 0.0, self._base.road

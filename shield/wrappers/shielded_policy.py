@@ -151,7 +151,7 @@ class Shield(WrappedPolicy):
             self._filters = [self._made(i) for i in range(n)]
         self._roads: list[Any] = [None] * n
         self._decided = [0] * n
-        self._patience = [FailureLimit(self.config.patience) for _ in self._bases]
+        self._failure_limits = [FailureLimit(self.config.failure_limit) for _ in self._bases]
         self._action_warning = ActionWarning()
         self._alive = [StaleEnvironmentCheck(base) for base in self._bases if base is not None]
         self._supervisions: list[Supervision | None] = [None] * n
@@ -306,7 +306,7 @@ class Shield(WrappedPolicy):
             `bad_action`.)
         SceneError
             If the observation has changed, but not the environment that the shield reads. If its road is not supported.
-            If it could not be read in more than `ShieldConfig.patience` consecutive decisions.
+            If it could not be read in more than `ShieldConfig.failure_limit` consecutive decisions.
         PolicyError
             If the policy has failed in as many.
         """
@@ -322,8 +322,10 @@ class Shield(WrappedPolicy):
             self._begin(i, episode_start)
         self._show(observation, episode_start is None)
         self.decisions = [self._decide(i, row, ranking, proposed.reason) for i, row in enumerate(actions.rows)]
-        for patience, decision, action_filter in zip(self._patience, self.decisions, self._filters, strict=True):
-            patience.check(decision, proposed.cause or action_filter.cause)
+        for failure_limit, decision, action_filter in zip(
+            self._failure_limits, self.decisions, self._filters, strict=True
+        ):
+            failure_limit.check(decision, proposed.cause or action_filter.cause)
         self._action_warning.check(self.decisions, self._known[0] if self._known else self._bases[0])
         if self._inputs and not whole and not any(decision.overridden for decision in self.decisions):
             return proposed.actions, proposed.state

@@ -116,7 +116,7 @@ def test_an_invalid_setting_is_named(text, word):
         ShieldConfig.from_toml(text)
 
 
-OTHERS = ("mode", "buffer", "assumptions", "repair", "norm", "record", "patience")
+OTHERS = ("mode", "buffer", "assumptions", "repair", "norm", "record", "failure_limit")
 NUMBERS = [f.name for f in fields(ShieldConfig) if f.name not in OTHERS]
 
 

@@ -1,6 +1,7 @@
 """Former names of public functions, members and values work for one release, and warn with the present name."""
 
 from dataclasses import replace
+from functools import partial
 
 import gymnasium as gym
 import pytest
@@ -9,7 +10,9 @@ from dynamics.traffic.assumptions import Assumptions
 from evaluation.experiments import Experiment
 from evaluation.running.records import ShieldVariant, make_variants
 from shield import Shield, ShieldConfig, ShieldedEnv
-from shield.decision import Guarantee
+from shield.decision import Decision, Guarantee, Intervention, Reason, Tier
+from shield.perception.perception_settings import PerceptionConfig
+from shield.perception.unseen import Unseen
 
 
 @pytest.mark.parametrize("kind", [ShieldConfig, Assumptions])
@@ -62,6 +65,47 @@ def test_the_former_name_of_an_assumption_sets_and_reads_the_same_field(former):
     assert former not in document
     with pytest.warns(DeprecationWarning, match=f"'{former}' of the table assumptions"):
         assert ShieldConfig.from_toml(document.replace(name, former)).assumptions == present
+
+
+PERCEPTION = {
+    "calm": ("lane_keeping", (1.0, 1.0)),
+    "brisk": ("manoeuvring", (5.0, 5.0)),
+    "cruise": ("usual_speed", (20.0, 2.0, 9.0)),
+    "patience": ("missed_limit", 2),
+}
+UNSEEN = {"room": ("clear_behind", 9.0), "surge": ("speed_gain", 2.0), "strays": ("may_change_lanes", True)}
+DECISION = {
+    "sight": ("scene_guarantee", Guarantee.NONE),
+    "weakest": ("weakest_guarantee", Guarantee.NONE),
+    "done": ("step_intervention", Intervention.HELD_BACK),
+    "held": ("first_overridden", None),
+}
+
+
+@pytest.mark.parametrize(
+    ("kind", "former", "name", "value"),
+    [
+        (kind, former, *names)
+        for kind, fields in (
+            (ShieldConfig, {"patience": ("failure_limit", 7)}),
+            (PerceptionConfig, PERCEPTION),
+            (Unseen, UNSEEN),
+            (partial(Decision, 1, 1, Reason.NONE, Tier.PASSED, 1.0, 0.0), DECISION),
+        )
+        for former, names in fields.items()
+    ],
+)
+def test_the_former_name_of_a_field_sets_and_reads_the_same_field(kind, former, name, value):
+    present = kind(**{name: value})
+    with pytest.warns(DeprecationWarning, match=f"'{former}' of .* is deprecated: write '{name}'"):
+        assert kind(**{former: value}) == present
+    with pytest.warns(DeprecationWarning, match=rf"\.{former} is deprecated: write .*\.{name}"):
+        assert getattr(present, former) is getattr(present, name)
+
+
+def test_the_former_name_of_the_failure_limit_is_read_from_a_file():
+    with pytest.warns(DeprecationWarning, match="'patience' of the table config is deprecated: write 'failure_limit'"):
+        assert ShieldConfig.from_toml("patience = 7") == ShieldConfig(failure_limit=7)
 
 
 def test_the_former_keyword_of_the_settings_on_road_networks():

@@ -193,7 +193,7 @@ def fail():
 def test_an_unreadable_scene_brings_the_ego_to_a_standstill(env_id, config, reads, speed, monkeypatch):
     """The fallback never drives backwards, and an ego that drives backwards is braked."""
     action = {**META, "target_speeds": [0, 10, 20]}
-    env = ShieldedEnv(made(env_id, {"action": action, "duration": 40, **config}), ShieldConfig(patience=100))
+    env = ShieldedEnv(made(env_id, {"action": action, "duration": 40, **config}), ShieldConfig(failure_limit=100))
     env.reset(seed=0)
     ego = env.unwrapped.vehicle
     env.unwrapped.road.vehicles = [ego]

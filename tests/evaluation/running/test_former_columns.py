@@ -75,14 +75,14 @@ def test_a_summary_takes_a_table_with_the_former_column_and_warns(result):
     pd.testing.assert_frame_equal(former, summarise(result.episodes))
 
 
-def test_a_manifest_with_former_assumptions_fits():
+def test_a_manifest_with_former_settings_fits():
     present = {name: getattr(Assumptions(), name) for name in FORMER_ASSUMPTIONS.values()}
     former = {name: present[FORMER_ASSUMPTIONS[name]] for name in FORMER_ASSUMPTIONS}
 
-    def made(assumptions):
-        return {"asked": {"shields": {"env": {"assumptions": assumptions}}}, "versions": {}}
+    def made(assumptions, limit="failure_limit"):
+        return {"asked": {"shields": {"env": {"assumptions": assumptions, limit: 5}}}, "versions": {}}
 
-    check_fits("x", made(former), made(present), "stop")
+    check_fits("x", made(former, "patience"), made(present), "stop")
     with pytest.raises(Exception, match="comfortable_braking"):
         check_fits("x", made({**former, "calm_braking": 1.0}), made(present), "stop")
 

@@ -200,7 +200,7 @@ def test_a_changed_sensor_gets_the_widest_bounds_and_no_guarantee():
     assert perception.alarmed
     assert env.last_decision.alarm
     assert perception.rating == (Guarantee.NONE, 0.0)
-    assert env.last_decision.sight is env.last_decision.guarantee is Guarantee.NONE
+    assert env.last_decision.scene_guarantee is env.last_decision.guarantee is Guarantee.NONE
     assert info["shield"]["guarantee"] == "none"
     scene = env.filter.reader.read()
     assert (scene.ids == -1).all()

@@ -81,7 +81,7 @@ def test_a_delayed_observation_is_extrapolated_to_the_present():
     """Other vehicles keep their speed and are observed relative to the ego's place 5 frames ago, while the ego
     accelerates."""
     spec = ObservationSpec(rows=3, see_behind=True)
-    perception = ObservationPerception(spec, ROAD, (0.2, 5), PerceptionConfig(delay=5, cruise=ANY))
+    perception = ObservationPerception(spec, ROAD, (0.2, 5), PerceptionConfig(delay=5, usual_speed=ANY))
     control, egos, x = EgoControl(Target(1, 25.0)), [], 0.0
     start, speeds = np.array([40.0, -30.0]), np.array([22.0, 18.0])
     for k in range(40):

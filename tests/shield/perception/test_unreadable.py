@@ -40,7 +40,9 @@ def test_an_unreadable_observation_leads_to_the_labelled_fallback(bad):
         decode(known.spec, bad)
     policy = Actions([3])
     policy.predict = lambda *args, **kwargs: (3, None)
-    shielded = Shield(policy, config=replace(ShieldConfig.for_meta_actions(), patience=2), known=known, **FRAMELESS)
+    shielded = Shield(
+        policy, config=replace(ShieldConfig.for_meta_actions(), failure_limit=2), known=known, **FRAMELESS
+    )
     for _ in range(2):
         action, _ = shielded.predict(bad)
         assert action == 4

@@ -35,7 +35,7 @@ def test_a_passed_vehicle_is_never_nearer_than_its_bound(steps, speed):
     behind.go_on(unseen, 10.0, 25.0, 0.2, np.array([[-10.5, 4.0, speed]]), nobody)
     place, now = -10.5, speed
     for ego_speed, push in steps:
-        now = min(max(now + min(push, unseen.acceleration) * 0.2, 0.0), speed + unseen.surge)
+        now = min(max(now + min(push, unseen.acceleration) * 0.2, 0.0), speed + unseen.speed_gain)
         place += (now - ego_speed) * 0.2
         behind.go_on(unseen, 10.0, ego_speed, 0.2, nobody, nobody)
         if place > -10.0:
@@ -70,14 +70,16 @@ def test_the_worst_case_has_a_fast_vehicle_right_behind_the_ego():
     assert scene.ids.tolist() == [-1] * 4
 
 
-@pytest.mark.parametrize("bad", [{"slowest": -1.0}, {"slowest": 31.0}, {"room": float("nan")}, {"surge": True}])
+@pytest.mark.parametrize(
+    "bad", [{"slowest": -1.0}, {"slowest": 31.0}, {"clear_behind": float("nan")}, {"speed_gain": True}]
+)
 def test_assumptions_about_the_unseen_are_checked(bad):
     with pytest.raises(ConfigError):
         Unseen(**bad)
 
 
 def test_an_unseen_vehicle_approaches_at_its_assumed_limit():
-    unseen, behind, nobody = Unseen(fastest=30.0, room=100.0), UnseenBehind(), np.zeros((0, 3))
+    unseen, behind, nobody = Unseen(fastest=30.0, clear_behind=100.0), UnseenBehind(), np.zeros((0, 3))
     behind.go_on(unseen, 10.0, 20.0, 0.0, nobody, nobody)
     for _ in range(20):
         behind.go_on(unseen, 10.0, 20.0, 0.2, nobody, nobody)

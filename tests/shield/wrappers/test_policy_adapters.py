@@ -91,7 +91,7 @@ def test_lists_and_tuples_are_actions_as_arrays_are(kind, form, placement):
 def test_an_invalid_action_gets_the_documented_fallback(kind, wrong, placement):
     """`Shield` once raised a ConfigError for actions of another shape, while `ShieldedEnv` fell back on
     `bad_action`."""
-    records, crashed = drive(kind, WRONG[wrong], placement, ShieldConfig(patience=0), steps=3)
+    records, crashed = drive(kind, WRONG[wrong], placement, ShieldConfig(failure_limit=0), steps=3)
     assert {record.reason for record in records} <= {Reason.BAD_ACTION, Reason.POLICY_FAILED}
     assert all(record.overridden or record.tier.fallback for record in records)
     assert not crashed
@@ -101,7 +101,7 @@ def test_an_invalid_action_gets_the_documented_fallback(kind, wrong, placement):
 def test_each_row_of_several_environments_is_judged_by_itself(kind):
     vec = DummyVecEnv([lambda: make(duration=6, **CONFIGS[kind])] * 2)
     good = 1 if kind == "meta" else [0.0, 0.0]
-    shield = Shield(lambda observation: [good, None], vec, ShieldConfig(patience=0))
+    shield = Shield(lambda observation: [good, None], vec, ShieldConfig(failure_limit=0))
     actions, _ = shield.predict(vec.reset())
     assert actions.shape == vec.action_space.sample()[None].repeat(2, 0).shape if kind == "inputs" else (2,)
     vec.step(actions)

@@ -153,21 +153,21 @@ class Broken:
 
 def test_a_policy_that_keeps_failing_is_an_error_and_warned_of_once(caplog):
     env = make(duration=100, policy_frequency=5)
-    shield = Shield(Broken(), env=env, config=ShieldConfig(patience=4))
+    shield = Shield(Broken(), env=env, config=ShieldConfig(failure_limit=4))
     obs, _ = env.reset(seed=0)
     for _ in range(4):
         action, _ = shield.predict(obs)
         obs, *_ = env.step(int(action))
     assert [r.message for r in caplog.records if "weights are gone" in r.message] == [caplog.records[-1].message]
-    with pytest.raises(PolicyError, match=r"5 decisions in a row.*RuntimeError: weights are gone.*patience"):
+    with pytest.raises(PolicyError, match=r"5 decisions in a row.*RuntimeError: weights are gone.*failure_limit"):
         shield.predict(obs)
 
 
 @pytest.mark.parametrize("placement", ["policy", "env"])
 def test_a_scene_that_cannot_be_read_is_an_error_after_a_while(placement, monkeypatch, caplog):
     env = make(duration=100, policy_frequency=5)
-    shield = Shield(Always(1), env=env, config=ShieldConfig(patience=3))
-    shielded = ShieldedEnv(env, ShieldConfig(patience=3)) if placement == "env" else env
+    shield = Shield(Always(1), env=env, config=ShieldConfig(failure_limit=3))
+    shielded = ShieldedEnv(env, ShieldConfig(failure_limit=3)) if placement == "env" else env
     obs, _ = shielded.reset(seed=0)
 
     def unreadable(self):
@@ -185,10 +185,10 @@ def test_a_scene_that_cannot_be_read_is_an_error_after_a_while(placement, monkey
     assert sum("fog" in r.message for r in caplog.records) == 1
 
 
-@pytest.mark.parametrize("patience", [-1, 2.5, True, "7"])
-def test_the_failure_limit_is_a_number_of_decisions(patience):
+@pytest.mark.parametrize("failure_limit", [-1, 2.5, True, "7"])
+def test_the_failure_limit_is_a_number_of_decisions(failure_limit):
     with pytest.raises(ConfigError, match="whole number of decisions"):
-        ShieldConfig(patience=patience)
+        ShieldConfig(failure_limit=failure_limit)
 
 
 # -- accepted policies -------------------------------------------------------------------------------------------

@@ -7,10 +7,40 @@ import warnings
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
-__all__ = ["accept_former_fields", "accept_former_keywords", "warn_of_former_name", "with_present_names"]
+__all__ = ["RenamedText", "accept_former_fields", "accept_former_keywords", "warn_of_former_name", "with_present_names"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Class = TypeVar("Class", bound=type)
+
+
+class RenamedText(str):
+    """A value in records that had another text. Comparing it with the former text warns, and finds them equal.
+
+    Parameters
+    ----------
+    text : the present text.
+    former : the former text.
+    """
+
+    __slots__ = ("former",)
+    former: str
+
+    def __new__(cls, text: str, former: str) -> RenamedText:
+        """Make the text."""
+        made = super().__new__(cls, text)
+        made.former = former
+        return made
+
+    __hash__ = str.__hash__
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is str and other == self.former:
+            warn_of_former_name(repr(other), f"compare with {str(self)!r}")
+            return True
+        return str.__eq__(self, other) if isinstance(other, str) else NotImplemented
+
+    def __getnewargs__(self) -> tuple[str, str]:  # type: ignore[override]
+        return str(self), self.former
 
 
 def warn_of_former_name(former: str, remedy: str, stacklevel: int = 3) -> None:

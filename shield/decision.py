@@ -221,7 +221,7 @@ class Decision:
     occupancy : rectangles that the others can reach, (frames, vehicles, 4) as s_min, s_max, r_min, r_max in the road
         frame [m], or None; filled only with `ShieldConfig.record`. In simulated traffic, plan and occupancy are the
         prediction in the world frame (x, y, heading, speed; bounding boxes of the others).
-    clause : the binding clause of the margin: "separation", "slip-in", "room", "edge", "gap of the map", "rollback"; ""
+    clause : the binding clause of the margin: "separation", "cut-in", "room", "edge", "gap of the map", "rollback"; ""
         without one.
     vehicle : row of the binding vehicle among the scene's others, -1 without one.
     scene_guarantee : what a certificate for this scene rests on.

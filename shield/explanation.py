@@ -60,7 +60,7 @@ class Explanation:
     ----------
     refused : the proposal, such as "FASTER" or "+5.0 m/s², +0.0°"; "" if it was executed unchanged.
     reason : of the record.
-    clause : a clause of the certificate ("separation", "slip-in", "room", "edge", "gap of the map", "rollback"), a rule
+    clause : a clause of the certificate ("separation", "cut-in", "room", "edge", "gap of the map", "rollback"), a rule
         ("rule: rss"), "simulated", "crash", or "road". "" if nothing was judged.
     cause : the vehicle; None without one.
     short : greatest shortfall of the buffer, or of the room [m]; NaN if it is not a length.

@@ -274,7 +274,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "tube": _tube,
     "occupancy": _occupancy,
     "duties": _obligations,
-    "slip-in": _cut_in,
+    "cut-in": _cut_in,
     "search": _search,
 }
 """Functions that draw the figures, by name."""

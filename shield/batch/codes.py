@@ -6,7 +6,7 @@ import numpy as np
 
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.traffic.rules_of_the_road import RoadRule
-from shield.certificate.road.clauses.all_clauses import CUT_IN_BINDS, NOTHING_BINDS, ROOM_BINDS, SEPARATION_BINDS
+from shield.certificate.road.verify import CLAUSES
 from shield.decision import ROUNDING, Reason, Tier
 
 __all__ = ["CLAUSES", "FALLBACKS", "OVERRIDES", "REASONS", "TIERS", "certified", "rules_in"]
@@ -16,7 +16,6 @@ FALLBACKS = np.array([tier.fallback for tier in TIERS])
 OVERRIDES = np.array([tier not in (Tier.OFF, Tier.PASSED) for tier in TIERS])
 """For each tier, whether it is a fallback, and whether it replaces the proposal."""
 _CERTIFIED = np.array([tier.certified for tier in TIERS])
-CLAUSES = {NOTHING_BINDS: "", SEPARATION_BINDS: "separation", CUT_IN_BINDS: "slip-in", ROOM_BINDS: "room"}
 
 
 def certified(tiers: IntArray, reasons: IntArray, margins: FloatArray) -> BoolArray:

@@ -231,7 +231,7 @@ def _why(found: _Refusal, cause: Obstruction | None, short: float) -> str:
         return f"{lacks}, whatever is done then"
     if found.expected:
         return f"{cause.text} is expected to be in the way before the decision is over; {lacks}"
-    if found.clause == "slip-in":
+    if found.clause == "cut-in":
         return f"{cause.text} could cut in; {lacks}"
     verb = {"ahead": "could brake", "behind": "could come up"}.get(cause.where, "could be in the way")
     return f"{cause.text} {verb}; {lacks}"

@@ -1,5 +1,7 @@
 """Former names of public functions, members and values work for one release, and warn with the present name."""
 
+import pickle
+from copy import deepcopy
 from dataclasses import replace
 from functools import partial
 
@@ -10,6 +12,8 @@ from dynamics.traffic.assumptions import Assumptions
 from evaluation.experiments import Experiment
 from evaluation.running.records import ShieldVariant, make_variants
 from shield import Shield, ShieldConfig, ShieldedEnv
+from shield.certificate.road.clauses.all_clauses import CUT_IN_BINDS
+from shield.certificate.road.verify import CLAUSES
 from shield.decision import Decision, Guarantee, Intervention, Reason, Tier
 from shield.perception.perception_settings import PerceptionConfig
 from shield.perception.unseen import Unseen
@@ -139,6 +143,18 @@ def test_the_former_name_of_the_placement_of_a_shield(tmp_path):
     file.write_text('door = "policy"\n', encoding="utf-8")
     with pytest.warns(DeprecationWarning, match="experiment.toml is deprecated: write 'placement'"):
         assert Experiment.from_toml(file) == experiment
+
+
+def test_the_former_name_of_the_cut_in_clause_is_equal_and_warns():
+    name = CLAUSES[CUT_IN_BINDS]
+    assert name == "cut-in"
+    assert name != "separation"
+    assert hash(name) == hash("cut-in")
+    with pytest.warns(DeprecationWarning, match="'slip-in' is deprecated: compare with 'cut-in'"):
+        assert name == "slip-in"
+    kept = pickle.loads(pickle.dumps(deepcopy(name)))
+    with pytest.warns(DeprecationWarning, match="compare with 'cut-in'"):
+        assert kept == "slip-in"
 
 
 def test_an_unknown_keyword_is_still_refused():

@@ -53,4 +53,4 @@ def test_the_recorded_episodes_have_overrides_of_many_kinds():
     overridden = every[~every.tier.isin(["passed", "off"])]
     assert len(overridden) > 2000
     assert min(every.tier.nunique(), every.reason.nunique()) >= 6
-    assert {"", "separation", "slip-in"} <= set(every.clause)
+    assert {"", "separation", "cut-in"} <= set(every.clause)

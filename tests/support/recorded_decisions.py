@@ -201,9 +201,13 @@ def _told(old: pd.DataFrame, new: pd.DataFrame, row: int, close: float = CLOSE) 
     return f"decision {a.k}: " + ", ".join(f"{name} {a[name]} -> {b[name]}" for name in other) if other else ""
 
 
+_FORMER_CLAUSES = {"slip-in": "cut-in"}
+"""Present names of clauses, by the name in the file."""
+
+
 def recorded() -> pd.DataFrame:
-    """The decisions at the revision that wrote the file."""
-    return pd.read_parquet(FILE)
+    """The decisions at the revision that wrote the file, with the present names of clauses."""
+    return pd.read_parquet(FILE).replace({"clause": _FORMER_CLAUSES})
 
 
 def main() -> None:

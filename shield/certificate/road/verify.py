@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from dynamics.deprecation import RenamedText
 from dynamics.scenes.scene import Scene
 from dynamics.state import BoolArray, FloatArray, IntArray, RoadState, Vehicle
 from dynamics.traffic.occupancy import OtherVehicles
@@ -48,6 +49,7 @@ from shield.config import Buffer, ShieldConfig
 from shield.decision import ROUNDING
 
 __all__ = [
+    "CLAUSES",
     "NOTHING",
     "ROUNDING",
     "Binding",
@@ -59,7 +61,13 @@ __all__ = [
 ]
 
 
-_CLAUSES = {NOTHING_BINDS: "", SEPARATION_BINDS: "separation", CUT_IN_BINDS: "slip-in", ROOM_BINDS: "room"}
+CLAUSES = {
+    NOTHING_BINDS: "",
+    SEPARATION_BINDS: "separation",
+    CUT_IN_BINDS: RenamedText("cut-in", "slip-in"),
+    ROOM_BINDS: "room",
+}
+"""Names of the clauses in records."""
 _NOBODY, _NO_LANES = np.zeros(0, dtype=bool), np.zeros((0, 0), dtype=bool)
 
 
@@ -122,7 +130,7 @@ class Clearance:
         """The binding clause and the binding vehicle of path `i`."""
         if self.margin[i] == -np.inf:
             return Binding("gap of the map")
-        return Binding(_CLAUSES[int(self.binds[0, i])], int(self.binds[1, i]))
+        return Binding(CLAUSES[int(self.binds[0, i])], int(self.binds[1, i]))
 
 
 class PathVerifier:

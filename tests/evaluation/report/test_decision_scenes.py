@@ -26,7 +26,7 @@ def test_the_command_writes_five_pictures(tmp_path):
     result = CliRunner().invoke(app, ["figures", "--output", str(tmp_path / "a")], catch_exceptions=False)
     assert result.exit_code == 0
     pictures = sorted((tmp_path / "a").iterdir())
-    assert [path.name for path in pictures] == ["duties.png", "occupancy.png", "search.png", "slip-in.png", "tube.png"]
+    assert [path.name for path in pictures] == ["cut-in.png", "duties.png", "occupancy.png", "search.png", "tube.png"]
     for path in pictures:
         assert path.stat().st_size < 60_000
         assert 750 < Image.open(path).width < 850
@@ -77,11 +77,11 @@ def test_the_drawn_separations_are_those_of_the_clause():
     now = observe(Memory(), passing(float(found.ahead[found.at]), found.offsets[1]), CONFIG)
     assert np.array_equal(now.scene.ego, found.shown.ego)
     fail_safe = now.fail_safe()
-    assert fail_safe.binding.clause != "slip-in"
+    assert fail_safe.binding.clause != "cut-in"
     assert fail_safe.margin >= 0
     lanes = np.array([fail_safe.lane])
     refused = now.survey.clearance(fail_safe.path[None], lanes, lanes)
-    assert refused.binding(0).clause == "slip-in"
+    assert refused.binding(0).clause == "cut-in"
     assert float(refused.margin[0]) == pytest.approx(off, abs=0.1)
 
 

@@ -83,7 +83,7 @@ CLEARANCE = (
         which=1,
     ),
     off(
-        "slip-in off",
+        "cut-in off",
         TOGETHER,
         "evaluate_path",
         "_ == 0",
@@ -92,7 +92,7 @@ CLEARANCE = (
         which=1,
     ),
     off(
-        "slip-in counts for nothing",
+        "cut-in counts for nothing",
         ROOM,
         "margin_of",
         "min(_, _[_])",

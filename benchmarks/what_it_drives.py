@@ -147,8 +147,8 @@ def short_table(found: Iterable[Row]) -> str:
     """
     cells: dict[str, dict[str, str]] = {}
     for row in found:
-        served = [door for door, why in zip(DOORS, row.why[: len(DOORS)], strict=True) if not why]
-        cell = "yes" if len(served) == len(DOORS) else ", ".join(served) or "–"
+        served = [wrapper for wrapper, why in zip(WRAPPERS, row.why[: len(WRAPPERS)], strict=True) if not why]
+        cell = "yes" if len(served) == len(WRAPPERS) else ", ".join(served) or "–"
         cells.setdefault(row.env_id, dict.fromkeys(ACTIONS, ""))[row.action] = cell
     alike: dict[tuple[str, ...], list[str]] = {}
     for env_id, of_actions in cells.items():

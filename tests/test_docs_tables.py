@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "benchmarks"))
 
 from short_tables import first_table, kept, rewritten, short_table, write_all  # noqa: E402
-from what_it_drives import CONFIGS, DOORS, Row, env_ids  # noqa: E402
+from what_it_drives import CONFIGS, WRAPPERS, Row, env_ids  # noqa: E402
 from what_it_drives import short_table as short_table_of_support  # noqa: E402
 
 LAB_PAGE = """# Full
@@ -62,7 +62,7 @@ def support() -> list[Row]:
         for name in names.split("; "):
             road, numbers = name.rsplit("-", 1)
             why = tuple("" if cell == "yes" else "refused" for cell in served)
-            assert len(why) == len(CONFIGS) * len(DOORS)
+            assert len(why) == len(CONFIGS) * len(WRAPPERS)
             found += [Row(f"{road}-{number}", action.strip("`"), why) for number in numbers.split(", ")]
     order = env_ids()
     return sorted(found, key=lambda row: order.index(row.env_id))

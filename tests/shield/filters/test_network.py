@@ -176,11 +176,11 @@ def test_a_replacement_on_a_network_is_verified():
 def test_both_wrappers_decide_alike_on_a_network():
     """`Shield` filters the frames as `ShieldedEnv` does."""
     driven = []
-    for network_filter in ("env", "policy"):
+    for placement in ("env", "policy"):
         env = gym.make("roundabout-v1")
-        if network_filter == "env":
+        if placement == "env":
             env = ShieldedEnv(env, "worst-case")
-        policy = Always(3) if network_filter == "env" else Shield(Always(3), env, "worst-case")
+        policy = Always(3) if placement == "env" else Shield(Always(3), env, "worst-case")
         obs, _ = env.reset(seed=5)
         for _ in range(5):
             obs, *_ = env.step(policy.predict(obs)[0])

@@ -119,7 +119,7 @@ def test_a_last_frame_of_rolling_back_lowers_no_margin(turned, r, gap):
     scene.put(scene.other, own, [60.0 + gap, 0.0], 0.0, back)
     scene.ego.target_lane_index = beside
     then = scene.margin(beside, 10.0, 30)
-    x, y, heading, speed = scene.filter._trial.path[1]
+    x, y, heading, speed = scene.network_filter._trial.path[1]
     scene.put(scene.ego, own, [x, y], heading, speed)
     scene.put(scene.other, own, [60.0 + gap + back * dt, 0.0], 0.0, 0.0)
     scene.ego.target_lane_index = beside
@@ -167,7 +167,7 @@ def test_a_vehicle_that_newly_fits_past_the_ego_is_a_violator(lane, ego, other, 
     for across in (other[1], then):
         scene.on(scene.other, lane, on.length + other[0], across, 0.0)
         margins.append(scene.margin(lane, 0.0, 1))
-        seen.append(replace(scene.filter._look(), others=scene.filter._others))
+        seen.append(replace(scene.network_filter._look(), others=scene.network_filter._others))
     assert not margins[0] >= CLEAR > margins[1] or scene.rules(*seen) == {NetworkRule.WAYS}
 
 
@@ -179,8 +179,8 @@ def test_the_ego_closes_a_lane_where_it_covers_its_middle(r, shut):
     scene.on(scene.ego, lane, length - 6.96, r, 0.0)
     scene.on(scene.other, lane, length - 19.86, -1.31, 0.0)
     assert (scene.margin(lane, 0.0, 1) >= CLEAR) == shut
-    others = scene.filter._others
-    assert others.shut[others.marks[:, 1] != scene.filter._index[lane]].any() == shut
+    others = scene.network_filter._others
+    assert others.shut[others.marks[:, 1] != scene.network_filter._index[lane]].any() == shut
 
 
 def test_the_traffic_of_highway_env_on_an_arc_causes_no_prediction_mismatch():

@@ -9,10 +9,17 @@ import numpy as np
 from dynamics.road_networks.geometry.network import index_of
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["RECENTRED_DISTANCE", "continuations_of", "leads_over"]
+__all__ = ["RECENTRED_DISTANCE", "TURNING", "TURN_IN_DISTANCE", "continuations_of", "leads_over", "overruns_of"]
 
 RECENTRED_DISTANCE = 25.0
 """Distance after which a vehicle that has entered a lane from beside it is back at the centre of the lane [m]."""
+TURN_IN_DISTANCE = 3.0
+"""Distance from the joint of two lanes within which a vehicle turns from one into the other [m]: before the joint, or
+behind it where the joint has a sharp bend."""
+TURNING = 0.9
+"""Greatest deviation of a vehicle's heading from a lane that it is entering [rad]."""
+_BODY, _BESIDE_CENTRE = (5.0, 2.0), 0.2
+"""Size of highway-env's vehicles, and their deviation from the centre of a lane [m]."""
 _SLACK, _STRAIGHT, _BESIDE, _PASSES = 1.0, 0.1, 0.3, 3
 _TOUCH = 2.5
 """A lane that begins within this distance of the end of another continues it [m]. If no lane of a road does, the
@@ -76,6 +83,40 @@ def leads_over(network: Any) -> IntArray:
         if 0 <= k + side < len(graph[a][b]):
             over[number] = numbers[a, b, k + side]
     return over
+
+
+def overruns_of(network: Any, after: IntArray, entries: FloatArray) -> FloatArray:
+    """How far a vehicle may drive straight on past the end of each lane [m], (n,), before it has turned into the next.
+
+    It is `TURN_IN_DISTANCE` where the joint with each next lane has so sharp a bend that a vehicle on the straight does
+    not count as entering that lane, otherwise 0. `after` and `entries` as from `continuations_of`.
+    """
+    lanes, overruns = network.lanes_list(), np.zeros(len(after))
+    for k, row in enumerate(after):
+        following = row[row >= 0]
+        if len(following) and not any(_takes_in(lanes[k], lanes[j], entries[j]) for j in following):
+            overruns[k] = TURN_IN_DISTANCE
+    return overruns
+
+
+def _takes_in(lane: Any, following: Any, entry: FloatArray) -> bool:
+    """Whether a vehicle that drives straight on past the end of a lane counts as entering the next one, until
+    `TURN_IN_DISTANCE` after the joint. `entry` is a row of `entries`."""
+    heading = lane.heading_at(lane.length)
+    forward, aside = np.array([np.cos(heading), np.sin(heading)]), np.array([-np.sin(heading), np.cos(heading)])
+    keep = _BODY[1] / 2 + _BESIDE_CENTRE
+    for way in np.linspace(0.0, TURN_IN_DISTANCE, 7):
+        center = lane.position(lane.length, 0.0) + way * forward
+        s = following.local_coordinates(center)[0]
+        angle = heading - following.heading_at(min(max(s, 0.0), following.length))
+        corners = [
+            center + x * _BODY[0] / 2 * forward + y * _BODY[1] / 2 * aside
+            for x, y in ((1, 1), (1, -1), (-1, 1), (-1, -1))
+        ]
+        sides = [following.local_coordinates(corner)[1] for corner in corners]
+        if np.cos(angle) < np.cos(TURNING) or min(sides) < entry[1] - keep or max(sides) > entry[2] + keep:
+            return False
+    return True
 
 
 def _entries(table: IntArray, ends: FloatArray, lengths: FloatArray) -> FloatArray:

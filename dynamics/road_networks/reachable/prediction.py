@@ -14,7 +14,7 @@ from dynamics.compiled import kernel_no_refcount
 from dynamics.highway_simulator.layout import LANE_LENGTH, LANE_LIMIT
 from dynamics.road_networks.geometry.lanes import NetworkLanes, local, place
 from dynamics.road_networks.geometry.layout import ROAD
-from dynamics.road_networks.reachable.continuations import RECENTRED_DISTANCE
+from dynamics.road_networks.reachable.continuations import RECENTRED_DISTANCE, TURN_IN_DISTANCE
 from dynamics.road_networks.reachable.standing import ALIGNED, NetworkVehicle, add_present_strips
 from dynamics.road_networks.reachable.strips import (
     BODY_HALF,
@@ -26,7 +26,6 @@ from dynamics.road_networks.reachable.strips import (
     LOW,
     NEAR,
     START,
-    TURN_IN_DISTANCE,
     DrivingBounds,
     LaneContinuations,
     Strip,

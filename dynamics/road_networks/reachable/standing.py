@@ -11,9 +11,8 @@ from dynamics.highway_simulator.layout import LANE_LENGTH, LANE_WIDTH
 from dynamics.road_networks.geometry.footprints import LanePoint, Rectangle, extent_of
 from dynamics.road_networks.geometry.lanes import NetworkLanes, heading_at, local, unrolled
 from dynamics.road_networks.geometry.layout import ROAD
-from dynamics.road_networks.reachable.continuations import RECENTRED_DISTANCE
+from dynamics.road_networks.reachable.continuations import RECENTRED_DISTANCE, TURN_IN_DISTANCE, TURNING
 from dynamics.road_networks.reachable.strips import (
-    TURN_IN_DISTANCE,
     DrivingBounds,
     LaneContinuations,
     Strip,
@@ -29,9 +28,9 @@ from dynamics.state import FloatArray, IntArray, Vehicle
 __all__ = ["ALIGNED", "NetworkVehicle", "add_present_strips"]
 
 _LENGTH, _WIDTH = int(Vehicle.LENGTH), int(Vehicle.WIDTH)
-ALIGNED, _TURNING, _OVERLAY = 0.5, 0.9, 2.0
+ALIGNED, _OVERLAY = 0.5, 2.0
 """Greatest deviation of a vehicle's heading from a lane of another road that it may follow: `ALIGNED` [rad], or
-`_TURNING` [rad] while it enters the lane. A vehicle between lanes also has to be within `_OVERLAY` of the centre [m].
+`TURNING` [rad] while it enters the lane. A vehicle between lanes also has to be within `_OVERLAY` of the centre [m].
 Where roads part, several lanes satisfy this."""
 _SWEEP = 0.5
 """How much further a body may reach while it turns into a lane from beside it [m]."""
@@ -152,7 +151,7 @@ def _entered(
             count = add(strips, first, count, _strip_of(subject, lane, at, low, high, RECENTRED_DISTANCE), 0.0)
             continue
         least, most = -at.keep + ways.entries[lane, 1], at.keep + ways.entries[lane, 2]
-        if at.within and abs(at.angle) <= _TURNING and low >= least and high <= most:
+        if at.within and abs(at.angle) <= TURNING and low >= least and high <= most:
             low, high = max(least, min(low - _SWEEP, -at.keep)), min(most, max(high + _SWEEP, at.keep))
             count = add(strips, first, count, _strip_of(subject, lane, at, low, high, RECENTRED_DISTANCE), 0.0)
             some = True

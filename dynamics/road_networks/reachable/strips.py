@@ -32,7 +32,6 @@ __all__ = [
     "SEVERAL",
     "START",
     "STRIP",
-    "TURN_IN_DISTANCE",
     "DrivingBounds",
     "LaneContinuations",
     "Strip",
@@ -64,8 +63,6 @@ SEVERAL = -2
 """Parent of a strip to which several strips lead."""
 ALWAYS = 1e9
 """Stands for the whole length of the road [m]."""
-TURN_IN_DISTANCE = 3.0
-"""Distance before the start of the next lane at which a vehicle may begin to turn into it [m]."""
 
 _LENGTH, _WIDTH = int(Vehicle.LENGTH), int(Vehicle.WIDTH)
 _LAP = 250.0
@@ -107,12 +104,14 @@ class LaneContinuations(NamedTuple):
     entries : least s, least r and greatest r at which vehicles enter each lane, (n, 3) [m].
     over : for a lane that ends, the neighbouring lane that a vehicle has to change to, (n,), -1 for none. A vehicle
         that changes there waits for no other.
+    overruns : how far a vehicle may drive straight on past the end of each lane, (n,) [m].
     """
 
     after: IntArray
     ends: FloatArray
     entries: FloatArray
     over: IntArray
+    overruns: FloatArray
 
 
 class Strips(NamedTuple):
@@ -250,6 +249,14 @@ def add(strips: Strips, first: int, count: int, strip: Strip, stop: float) -> in
         same = abs(row[NEAR] - strip.near) < _ROUNDING and abs(row[FAR] - strip.far) < _ROUNDING
         same = same and row[LOW] <= strip.low + _ROUNDING and row[HIGH] >= strip.high - _ROUNDING
         same = same and row[BODY_HALF] >= strip.half - _ROUNDING
+        if same and strip.parent > j:
+            # The strips that strip j leads to are stored already, so it may not change.
+            centred = max(strip.high, -strip.low) <= row[CENTRED_HALF] + _ROUNDING
+            same = strip.start >= row[START] - _ROUNDING and strip.front <= row[FRONT] + _ROUNDING
+            same = same and (centred or strip.back <= row[CENTRED_FROM] + _ROUNDING)
+        if same:
+            row[START], row[FRONT] = min(row[START], strip.start), max(row[FRONT], strip.front)
+            row[CENTRED_FROM] = max(row[CENTRED_FROM], strip.back)
         if same and marks[j, 2] >= 0 and marks[j, 2] != strip.parent:
             marks[j, 2] = SEVERAL
         if same or (strip.near > _LAP and _repeats(row, strip, stop)):

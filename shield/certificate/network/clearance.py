@@ -385,14 +385,15 @@ def least_separation(
         others.shut[j], others.waits[j] = _is_blocked(others, road, j), False
         if others.shut[j] or last < first:
             continue
-        end = ALWAYS if is_dead_end(road.ways, lane) else rows[lane, LANE_LENGTH]
+        joint = ALWAYS if is_dead_end(road.ways, lane) else rows[lane, LANE_LENGTH]
+        end = joint + road.ways.overruns[lane]
         least, bad, contact, sag = np.inf, count, -1, _sag_of(others, road, j)
         there = rests and last == count - 1
         # A follower that has to stay behind the ego's body does not reach the next lane while the ego's rear is within
         # this one. This has to hold for any size, with the buffer and without it: a frame later the obligation may
         # refer to the body alone. The ego also has to cover the centre of the lane, which lies in every band: a frame
         # later the band may be narrower.
-        closes = there and trial.rears[lane, 1] <= end and boxes[lane, last, 2] < 0.0 < boxes[lane, last, 3]
+        closes = there and trial.rears[lane, 1] <= joint and boxes[lane, last, 2] < 0.0 < boxes[lane, last, 3]
         for k in range(first, last + 1):
             box = boxes[lane, k]
             if not box[0] < FAR_OFF:

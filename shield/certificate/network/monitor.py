@@ -36,6 +36,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.errors import SceneError
+from dynamics.highway_simulator.layout import LANE_LENGTH
 from dynamics.road_networks.reachable.strips import (
     BODY_HALF,
     CENTRED_FROM,
@@ -233,7 +234,7 @@ class NetworkMonitor:
             broken.add(NetworkRule.REVERSING)
         if suffers and (new.rows[i, 4:6] > old.rows[j, 4:6] + _SAME).any():
             broken.add(NetworkRule.GROWN)
-        if suffers and not _inside(old, j, new, i):
+        if suffers and not _inside(old, j, new, i, road):
             broken.add(NetworkRule.WAYS)
         if v > max(v0 - road.duty.braking * dt, 0.0) + _SLACK:
             if late:
@@ -274,7 +275,7 @@ def _axes(heading: float) -> FloatArray:
     return np.array([[cos, sin], [-sin, cos]])
 
 
-def _inside(old: NetworkVehicles, j: int, new: NetworkVehicles, i: int) -> bool:
+def _inside(old: NetworkVehicles, j: int, new: NetworkVehicles, i: int, road: NetworkContext) -> bool:
     """Whether the reachable intervals of vehicle i begin inside those that were predicted for it a frame before, as
     vehicle j.
 
@@ -292,7 +293,8 @@ def _inside(old: NetworkVehicles, j: int, new: NetworkVehicles, i: int) -> bool:
     `marks`: the interval before          here, as it is read: whether the ego blocks every way there (`shut`), if the
                                           body has moved across its lane. Otherwise the judgement of the ego's own path
                                           has changed, and the loss of a plan is *unforeseen*
-    `NEAR`, `FAR`                         here: the distance of a frame is between `least` and `most`
+    `NEAR`, `FAR`                         here: the distance of a frame is between `least` and `most`, and within the
+                                          lane and its `LaneContinuations.overruns`
     `LOW`, `HIGH`, `BODY_HALF`            here
     `FRONT`                               here; it is read only for vehicles with a distance obligation
     `START`                               here, where the vehicle is so far back, or may roll back so far
@@ -311,12 +313,15 @@ def _inside(old: NetworkVehicles, j: int, new: NetworkVehicles, i: int) -> bool:
     least, most, owes, rearmost = old.least[j, 1], old.most[j, 1], old.owes[j].any(), new.least[i].min()
     furthest = old.least[j].max()
     shifts = _shifts(old, mine, new, its)
+    ends = road.lanes.rows[:, LANE_LENGTH] + road.ways.overruns
+    ends = np.where((road.ways.after >= 0).any(axis=1), ends, np.inf)
     for k in its:
         row, same = new.numbers[k], mine[old.marks[mine, 1] == new.marks[k, 1]]
         rows = old.numbers[same]
         # A later pass is contained in one whose start the vehicle is not certain to have left.
         rear = (-row[FAR] >= least - rows[:, FAR] - _PLACE) | (furthest <= rows[:, FAR] + rows[:, START])
         along = rear & (-row[NEAR] <= most - rows[:, NEAR] + _PLACE)
+        along &= -row[NEAR] <= np.maximum(ends[new.marks[k, 1]], -rows[:, NEAR]) + _PLACE
         along &= max(row[START], rearmost - row[FAR]) >= rows[:, START] - _PLACE
         across = (row[LOW] >= rows[:, LOW] - _PLACE) & (row[HIGH] <= rows[:, HIGH] + _PLACE)
         # A vehicle beside the centre has to be back there after the same distance as before.

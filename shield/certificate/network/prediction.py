@@ -13,7 +13,7 @@ from dynamics.road_networks.geometry.lanes import NetworkLanes
 from dynamics.road_networks.geometry.layout import PRIORITY
 from dynamics.road_networks.geometry.network import index_of
 from dynamics.road_networks.geometry.points import circles_of
-from dynamics.road_networks.reachable.continuations import continuations_of, leads_over
+from dynamics.road_networks.reachable.continuations import continuations_of, leads_over, overruns_of
 from dynamics.road_networks.reachable.prediction import add_all_strips, distance_bounds
 from dynamics.road_networks.reachable.rights import right_of_way_by_lane, right_of_way_by_strip
 from dynamics.road_networks.reachable.strips import (
@@ -48,7 +48,9 @@ def network_context(base: Any, alone: EgoOnNetwork, config: ShieldConfig) -> Net
     a, buffer, frequency = config.assumptions, config.buffer, base.config["simulation_frequency"]
     network, machine = alone.rules.network, alone.machine
     lanes = NetworkLanes(machine.sums, machine.loops, network.lanes, network.ids, network.near)
-    ways = LaneContinuations(*continuations_of(base.road.network), leads_over(base.road.network))
+    after, ends, entries = continuations_of(base.road.network)
+    over, overruns = leads_over(base.road.network), overruns_of(base.road.network, after, entries)
+    ways = LaneContinuations(after, ends, entries, over, overruns)
     circles = np.zeros((len(network.lanes), 3))
     circles_of(lanes, circles)
     length, width = base.vehicle.LENGTH / 2, base.vehicle.WIDTH / 2

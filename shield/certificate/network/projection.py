@@ -67,6 +67,7 @@ def project_path(
         pose = math.cos(heading), math.sin(heading), path[k, 3] * road.period
         for lane in others.lanes:
             box, row, reach = boxes[lane, k], lanes.rows[lane], half + max(others.rooms[lane], _NEAR)
+            reach += road.ways.overruns[lane]
             box[0], seen[lane, k] = FAR_OFF, False
             # Both s and r may be off by the reach, and on a sine r changes with s.
             far = circles[lane, 2] + reach * (1 + math.hypot(1.0, steepness(lanes, lane)))

@@ -211,13 +211,8 @@ def test_reachable_intervals_around_a_loop_lie_inside_those_of_the_frame_before(
             vehicle.place = around(network, start, lambda frame: (frame * 10.0 * dt, 10.0 + frame * rate * dt))
             vehicle.frame = frame - 1
             vehicle.step(dt)
-<<<<<<< HEAD
             seen.append(env.filter._look().others)
-        assert _inside(seen[0], 0, seen[1], 0), start
-=======
-            seen.append(env.door._look().others)
-        assert _inside(seen[0], 0, seen[1], 0, env.door._road), start
->>>>>>> bb23d6d (Road networks, worst case: straight on past a sharp bend, and two ways of equal length to one lane, are predicted or reported)
+        assert _inside(seen[0], 0, seen[1], 0, env.filter._road), start
         passes |= {tuple(np.unique(others.marks[:, 1], return_counts=True)[1]) for others in seen}
     assert len(passes) > 1
 
@@ -285,7 +280,7 @@ def test_a_vehicle_that_drives_straight_on_past_a_sharp_bend_is_predicted_or_rep
     vehicle = scripted(env, place)
     drive(env, 1, 150)
     assert vehicle.position[0] == pytest.approx(stop, abs=0.3)
-    assert set(env.door.by_rule) <= ({"ways"} if stop > 103 or degrees < 60 else set())
+    assert set(env.filter.by_rule) <= ({"ways"} if stop > 103 or degrees < 60 else set())
     assert not env.unwrapped.vehicle.crashed
 
 

@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict, Unpack
 
 import pandas as pd
 
@@ -51,16 +51,23 @@ class RunOptions:
     progress: bool = False
 
 
+class DrivingOptions(TypedDict, total=False):
+    """Keywords of `run_episode` and `run_paired`, see `evaluation.running.driver.DriverSpec`."""
+
+    algorithm: str | None
+    model: str | None
+    simulator: str
+    sensor: str
+
+
 def run_episode(
     setting: str | Setting,
     policy: str | Policy,
     variant: ShieldVariant | None = None,
     seed: int = 100_000,
-    algorithm: str | None = None,
-    model: str | None = None,
-    simulator: str = "auto",
-    sensor: str = "exact",
+    *,
     after: Callable[[float, Decision], None] | None = None,
+    **driving: Unpack[DrivingOptions],
 ) -> EpisodeRecord:
     """Drive one episode.
 
@@ -69,11 +76,11 @@ def run_episode(
     setting, policy : by name or as objects; a policy may also be the path of an SB3 zip file.
     variant : the shield between the two; none by default.
     seed : seed of the traffic and of the policy.
-    algorithm, model, simulator, sensor : see `evaluation.running.driver.DriverSpec`.
     after : see `evaluation.running.driver.Driver.run`.
+    driving : algorithm, model, simulator and sensor, see `evaluation.running.driver.DriverSpec`.
     """
     setting = get_setting(setting) if isinstance(setting, str) else setting
-    driver = Driver(DriverSpec(setting, policy, variant or ShieldVariant(), algorithm, model, simulator, sensor))
+    driver = Driver(DriverSpec(setting, policy, variant or ShieldVariant(), **driving))
     try:
         with one_thread():
             return driver.run(seed, after)
@@ -88,23 +95,20 @@ def run_paired(
     seeds: Iterable[int],
     *,
     jobs: int = 1,
-    algorithm: str | None = None,
-    model: str | None = None,
-    simulator: str = "auto",
-    sensor: str = "exact",
     run: RunOptions | None = None,
-    **deprecated: Any,
+    **options: Any,
 ) -> pd.DataFrame:
     """Drive every variant on the same seeds; one row per episode, by variant and then seed.
 
     Parameters
     ----------
-    setting, policy, algorithm, model, simulator, sensor : as in `run_episode`.
+    setting, policy : as in `run_episode`.
     variants : variants of the shield to compare.
     seeds : seeds of the episodes.
     jobs : processes; -1 for one per core.
     run : execution and storage of the episodes; in memory by default.
-    deprecated : fields of `RunOptions` by name, in place of `run`, with a `DeprecationWarning`.
+    options : algorithm, model, simulator and sensor, as in `run_episode`. Also fields of `RunOptions` by name, in place
+        of `run`, with a `DeprecationWarning`.
 
     Raises
     ------
@@ -114,7 +118,9 @@ def run_paired(
         If there is nothing to run, `jobs` is 0, or neither the policy nor a shield uses the given model.
     """
     setting = get_setting(setting) if isinstance(setting, str) else setting
-    run = _with_deprecated(run or RunOptions(), deprecated)
+    names = DrivingOptions.__optional_keys__
+    driving: Any = {name: options.pop(name) for name in names & options.keys()}
+    run, model = _with_deprecated(run or RunOptions(), options), driving.get("model")
     variants, seeds = list(variants), list(seeds)
     if not variants or not seeds:
         raise ConfigError(f"nothing to run: {len(variants)} variants, {len(seeds)} episodes")
@@ -122,7 +128,7 @@ def run_paired(
         raise ConfigError("jobs must be at least 1, or -1 for one per core")
     if model not in (None, "bicycle") and policy != "mpc" and not any(v.placement == "env" for v in variants):
         raise ConfigError("a model is for mpc and for the shield's placement env; none of the two drives here")
-    specs = [DriverSpec(setting, policy, variant, algorithm, model, simulator, sensor) for variant in variants]
+    specs = [DriverSpec(setting, policy, variant, **driving) for variant in variants]
     return _run_specs(specs, seeds, Processes(jobs) if run.engine is None else run.engine, run)
 
 

@@ -9,7 +9,16 @@ import numpy as np
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.state import FloatArray, IntArray
-from shield.perception.filters import FAR, LEAST, ROW_COST, ROW_COST_LIMIT, StateTransition, normal_score
+from shield.perception.filters import (
+    FAR,
+    LEAST,
+    ROW_COST,
+    ROW_COST_LIMIT,
+    Matches,
+    Mixtures,
+    StateTransition,
+    normal_score,
+)
 
 __all__ = ["costs", "distances", "measurement_update", "mixture", "predict", "predict_state", "quantiles", "scores"]
 
@@ -71,20 +80,12 @@ def costs(away: FloatArray, places: FloatArray, at: FloatArray) -> tuple[FloatAr
 
 
 def measurement_update(
-    chances: FloatArray,
-    means: FloatArray,
-    covariances: FloatArray,
-    seen: FloatArray,
-    noise: FloatArray,
-    away: FloatArray,
-    size: FloatArray,
-    rows: IntArray,
-    columns: IntArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+    expected: Mixtures, seen: FloatArray, noise: FloatArray, apart: tuple[FloatArray, FloatArray], pairs: Matches
+) -> Mixtures:
     """See `filters.measurement_update`."""
-    chances, means, covariances = chances.copy(), means.copy(), covariances.copy()
-    _take_in(chances, means, covariances, seen, noise, away, size, rows, columns, np.empty((4, 4, 4)))
-    return chances, means, covariances
+    updated = Mixtures(expected.chances.copy(), expected.means.copy(), expected.covariances.copy())
+    _take_in(updated, seen, noise, apart, pairs, np.empty((4, 4, 4)))
+    return updated
 
 
 def quantiles(
@@ -107,7 +108,7 @@ def scores(
 ) -> FloatArray:
     """See `filters.scores`."""
     shares = np.empty((2, len(rows), 4))
-    _divide(chances, means, covariances, seen, noise, rows, columns, shares)
+    _divide(Mixtures(chances, means, covariances), seen, noise, Matches(rows, columns), shares)
     return normal_score(shares[0], shares[1])
 
 
@@ -271,17 +272,16 @@ def _around(left: FloatArray, middle: FloatArray, half: FloatArray, found: Float
 
 @kernel_no_refcount
 def _take_in(
-    chances: FloatArray,
-    means: FloatArray,
-    covariances: FloatArray,
+    mixtures: Mixtures,
     seen: FloatArray,
     noise: FloatArray,
-    away: FloatArray,
-    size: FloatArray,
-    rows: IntArray,
-    columns: IntArray,
+    apart: tuple[FloatArray, FloatArray],
+    pairs: Matches,
     work: FloatArray,
 ) -> None:
+    """`measurement_update` in place; `work` is a buffer, (4, 4, 4)."""
+    chances, means, covariances = mixtures
+    (away, size), (rows, columns) = apart, pairs
     root, gain, rest, half = work[0], work[1], work[2], work[3]
     for pair in range(len(rows)):
         a, b = rows[pair], columns[pair]
@@ -372,17 +372,10 @@ def _find(
 
 
 @kernel_no_refcount
-def _divide(
-    chances: FloatArray,
-    means: FloatArray,
-    covariances: FloatArray,
-    seen: FloatArray,
-    noise: FloatArray,
-    rows: IntArray,
-    columns: IntArray,
-    shares: FloatArray,
-) -> None:
+def _divide(mixtures: Mixtures, seen: FloatArray, noise: FloatArray, pairs: Matches, shares: FloatArray) -> None:
     """Probability of an observation further below, and further above, (2, k, 4)."""
+    chances, means, covariances = mixtures
+    rows, columns = pairs
     for pair in range(len(rows)):
         a, b = rows[pair], columns[pair]
         for k in range(4):

@@ -23,6 +23,8 @@ __all__ = [
     "ROW_COST",
     "ROW_COST_LIMIT",
     "SCORE_LIMIT",
+    "Matches",
+    "Mixtures",
     "StateTransition",
     "costs",
     "distances",
@@ -67,6 +69,21 @@ class StateTransition(NamedTuple):
     left: float
     stray: float
     sway: float
+
+
+class Mixtures(NamedTuple):
+    """State of the filters: `chances` (n, 3), `means` (n, 3, 4) and `covariances` (n, 3, 4, 4)."""
+
+    chances: FloatArray
+    means: FloatArray
+    covariances: FloatArray
+
+
+class Matches(NamedTuple):
+    """Vehicles `rows` (k,) were observed as vehicles `columns` (k,)."""
+
+    rows: IntArray
+    columns: IntArray
 
 
 def predict_state(
@@ -155,26 +172,17 @@ def costs(away: FloatArray, places: FloatArray, at: FloatArray) -> tuple[FloatAr
 
 
 def measurement_update(
-    chances: FloatArray,
-    means: FloatArray,
-    covariances: FloatArray,
-    seen: FloatArray,
-    noise: FloatArray,
-    away: FloatArray,
-    size: FloatArray,
-    rows: IntArray,
-    columns: IntArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Probabilities, means and covariances after the measurement update, in Joseph's form, which stays symmetric and
-    positive.
-
-    Vehicles `rows` (k,) were observed as `columns` (k,) of `seen`; the others keep their values.
+    expected: Mixtures, seen: FloatArray, noise: FloatArray, apart: tuple[FloatArray, FloatArray], pairs: Matches
+) -> Mixtures:
+    """State of the filters after the measurement update, in Joseph's form, which stays symmetric and positive. Vehicles
+    that were not observed keep their values.
 
     Parameters
     ----------
-    away, size : see `distances`.
+    expected : prediction. seen : observed states, (m, 4). apart : of `distances`.
     """
-    chances, means, covariances = chances.copy(), means.copy(), covariances.copy()
+    chances, means, covariances = (each.copy() for each in expected)
+    (away, size), (rows, columns) = apart, pairs
     likely = np.log(chances[rows]) - 0.5 * (away[rows, :, columns] + size[rows])
     likely = np.exp(likely - likely.max(axis=1, keepdims=True, initial=-np.inf)) + LEAST
     chances[rows] = likely / likely.sum(axis=1, keepdims=True)
@@ -183,7 +191,7 @@ def measurement_update(
     rest = np.eye(4) - gain
     means[rows] += np.einsum("njik,njk->nji", gain, seen[columns][:, None] - means[rows])
     covariances[rows] = rest @ before @ np.swapaxes(rest, -1, -2) + gain @ noise @ np.swapaxes(gain, -1, -2)
-    return chances, means, covariances
+    return Mixtures(chances, means, covariances)
 
 
 def quantiles(

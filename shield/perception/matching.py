@@ -9,7 +9,46 @@ import numpy as np
 from dynamics.compiled import kernel_no_refcount
 from dynamics.state import BoolArray, FloatArray, IntArray
 
-__all__ = ["Assignment", "apply_gate"]
+__all__ = ["Assignment", "CandidatePairs", "LastObservation", "ObservedVehicles", "apply_gate"]
+
+
+class CandidatePairs(NamedTuple):
+    """Pairs of tracks and observed vehicles, before the gate.
+
+    Attributes
+    ----------
+    rows, columns : tracks and observed vehicles, (l,). apart : squared distance of each pair, (l,).
+    """
+
+    rows: IntArray
+    columns: IntArray
+    apart: FloatArray
+
+
+class LastObservation(NamedTuple):
+    """`missed`, `places` and `seen` of `tracking.Tracks`."""
+
+    missed: IntArray
+    places: FloatArray
+    seen: FloatArray
+
+
+class ObservedVehicles(NamedTuple):
+    """Rows (m,) and states (m, 4) of the observed vehicles."""
+
+    at: FloatArray
+    seen: FloatArray
+
+
+class _Found(NamedTuple):
+    """Arrays that `_settle` writes: pairs (2, l), and fields of `Assignment`."""
+
+    pairs: IntArray
+    missed: IntArray
+    places: FloatArray
+    seen: FloatArray
+    innovation: FloatArray
+    unknown: BoolArray
 
 
 class Assignment(NamedTuple):
@@ -34,51 +73,31 @@ class Assignment(NamedTuple):
 
 
 def apply_gate(
-    rows: IntArray,
-    columns: IntArray,
-    apart: FloatArray,
-    gate: float,
-    patience: int,
-    missed: IntArray,
-    places: FloatArray,
-    before: FloatArray,
-    at: FloatArray,
-    seen: FloatArray,
+    pairs: CandidatePairs, gate: float, patience: int, last: LastObservation, observed: ObservedVehicles
 ) -> Assignment:
-    """Apply the gate to an assignment of tracks `rows` (l,) to observed vehicles `columns` (l,).
+    """Apply the gate to an assignment of tracks to observed vehicles.
 
     Parameters
     ----------
-    apart : squared distance of each pair, (l,). gate : greatest squared distance of a match.
-    patience : consecutive observations that a vehicle may be missing from. missed, places, before : see
-        `tracking.Tracks`; `before` is `Tracks.seen`.
-    at, seen : rows (m,) and states (m, 4) of the observed vehicles.
+    gate : greatest squared distance of a match.
+    patience : consecutive observations that a vehicle may be missing from. last : of the tracks.
     """
-    pairs, missed, places, shown = np.empty((2, len(rows)), np.intp), missed + 1, places.copy(), before.copy()
-    innovation, unknown = np.empty(len(missed)), np.empty(len(at), np.bool_)
-    found = missed, places, shown, innovation, unknown
-    count, whole = _settle(rows, columns, apart, gate, patience, at, seen, pairs, *found)
-    return Assignment(pairs[0, :count], pairs[1, :count], *found, whole)
+    kept, innovation = np.empty((2, len(pairs.rows)), np.intp), np.empty(len(last.missed))
+    unknown = np.empty(len(observed.at), np.bool_)
+    found = _Found(kept, last.missed + 1, last.places.copy(), last.seen.copy(), innovation, unknown)
+    count, whole = _settle(pairs, gate, patience, observed, found)
+    return Assignment(kept[0, :count], kept[1, :count], *found[1:], whole)
 
 
 @kernel_no_refcount
 def _settle(
-    rows: IntArray,
-    columns: IntArray,
-    apart: FloatArray,
-    gate: float,
-    patience: int,
-    at: FloatArray,
-    seen: FloatArray,
-    pairs: IntArray,
-    missed: IntArray,
-    places: FloatArray,
-    shown: FloatArray,
-    innovation: FloatArray,
-    unknown: BoolArray,
+    candidates: CandidatePairs, gate: float, patience: int, observed: ObservedVehicles, found: _Found
 ) -> tuple[int, bool]:
-    """Fill in the pairs, (2, l), and the values of each track and observed vehicle. Returns the number of pairs, and
+    """Fill in the pairs, and the values of each track and observed vehicle. Return the number of pairs, and
     `Assignment.whole`."""
+    rows, columns, apart = candidates
+    at, seen = observed
+    pairs, missed, places, shown, innovation, unknown = found
     count, whole = 0, True
     for a in range(len(missed)):
         innovation[a] = np.nan

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -63,8 +63,8 @@ def decode(spec: ObservationSpec, observation: object) -> DecodedObservation:
     low, half, ranged, where, named = _layout(spec.features, tuple(spec.ranges.items()))  # type: ignore[union-attr]
     n = len(rows)
     ego_row, states, places = np.empty(rows.shape[1]), np.empty((n, len(STATE))), np.empty(n, np.intp)
-    ends, switches = (low, half, ranged), (spec.clip, spec.absolute)
-    shown, known, lost = _read(rows, *ends, where, named[0], *switches, ego_row, states, places)
+    columns = _Columns(low, half, ranged, where, named[0], spec.clip, spec.absolute)
+    shown, known, lost = _read(rows, columns, _Decoded(ego_row, states, places))
     if not shown:
         raise SceneError("the observation does not show the ego: its first row is empty")
     if lost & ~1:
@@ -86,32 +86,45 @@ def _out_of_sight(spec: ObservationSpec, rows: FloatArray, presence: int, column
     return int((there & (ahead | behind))[1:].sum())
 
 
-@kernel_no_refcount
-def _read(
-    rows: FloatArray,
-    low: FloatArray,
-    half: FloatArray,
-    ranged: BoolArray,
-    where: IntArray,
-    presence: int,
-    clip: bool,
-    absolute: bool,
-    ego_row: FloatArray,
-    states: FloatArray,
-    places: IntArray,
-) -> tuple[int, int, int]:
-    """Decode observed rows (n, features). Fills `ego_row` (features,) in its units, and for the ego and each vehicle
-    with a known position `states` (n, 4) and `places` (n,).
+class _Columns(NamedTuple):
+    """Columns of an observation.
 
-    Parameters
+    Attributes
     ----------
-    low, half, ranged, where : see `_layout`. presence : its column, or -1. clip, absolute : see `ObservationSpec`.
+    low, half, ranged : for each feature the lower end of its range, half the width of the range, and whether it has a
+        range. where : columns of the state, (4,).
+    presence : its column, or -1. clip, absolute : see `ObservationSpec`.
+    """
+
+    low: FloatArray
+    half: FloatArray
+    ranged: BoolArray
+    where: IntArray
+    presence: int
+    clip: bool
+    absolute: bool
+
+
+class _Decoded(NamedTuple):
+    """Arrays that `_read` writes: the ego's row (features,) in its units; and for the ego and each vehicle with a known
+    position its state (n, 4) and its row index (n,)."""
+
+    ego_row: FloatArray
+    states: FloatArray
+    places: IntArray
+
+
+@kernel_no_refcount
+def _read(rows: FloatArray, columns: _Columns, out: _Decoded) -> tuple[int, int, int]:
+    """Decode observed rows (n, features) to `out`.
 
     Returns
     -------
     The number of rows shown (0 without the ego), the number of filled results, and a bit for each clipped component of
     the ego's state.
     """
+    low, half, ranged, where, presence, clip, absolute = columns
+    ego_row, states, places = out
     shown, known, lost = 0, 0, 0
     for i in range(rows.shape[0]):
         there = i == 0

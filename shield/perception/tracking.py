@@ -32,8 +32,8 @@ from scipy.optimize import linear_sum_assignment
 
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.perception import filter_kernels as filters
-from shield.perception.filters import StateTransition
-from shield.perception.matching import apply_gate
+from shield.perception.filters import Matches, Mixtures, StateTransition
+from shield.perception.matching import CandidatePairs, LastObservation, ObservedVehicles, apply_gate
 
 __all__ = ["Innovations", "MotionModels", "Tracks", "bounds_of", "predict_tracks", "update_tracks"]
 
@@ -174,10 +174,10 @@ def update_tracks(
         pair = rows[near], columns[near]
         found = filters.scores(chances, means, covariances, seen, noise, *pair)
         surprise = Innovations(apart[near], found, _steps(tracks, seen, dt, *pair))
-    last = tracks.missed, tracks.places, tracks.seen
-    pairs = apply_gate(rows, columns, apart, _GATE, patience, *last, at, seen)
-    expected, same = (chances, means, covariances), (pairs.rows, pairs.columns)
-    chances, means, covariances = filters.measurement_update(*expected, seen, noise, away, size, *same)
+    last, observed = LastObservation(tracks.missed, tracks.places, tracks.seen), ObservedVehicles(at, seen)
+    pairs = apply_gate(CandidatePairs(rows, columns, apart), _GATE, patience, last, observed)
+    expected, same = Mixtures(chances, means, covariances), Matches(pairs.rows, pairs.columns)
+    chances, means, covariances = filters.measurement_update(expected, seen, noise, (away, size), same)
     about = pairs.missed, pairs.places, tracks.next_id, pairs.innovation, pairs.seen, surprise
     everybody = Tracks(tracks.ids, means, covariances, chances, *about)
     if pairs.whole:

@@ -61,7 +61,8 @@ def test_the_compiled_filters_are_the_formulas(case, dt, lanes):
         agree(other, one)
     k = min(len(means), len(seen))
     rows, columns = rng.permutation(len(means))[:k], rng.permutation(len(seen))[:k]
-    given = *ahead, seen, noise, *filters.distances(*ahead[1:], seen, noise), rows, columns
+    apart, pairs = filters.distances(*ahead[1:], seen, noise), filters.Matches(rows, columns)
+    given = filters.Mixtures(*ahead), seen, noise, apart, pairs
     for one, other in zip(*(each.measurement_update(*given) for each in both), strict=True):
         agree(other, one)
     for one, other in zip(*(each.scores(*ahead, seen, noise, rows, columns) for each in both), strict=True):

@@ -3,18 +3,36 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.roads.straight import nearest
 from dynamics.state import FloatArray, Vehicle
 
-__all__ = ["alongside", "lateral_gap", "longitudinal_gap", "time_is_short", "violates_rss"]
+__all__ = ["RuleScene", "alongside", "lateral_gap", "longitudinal_gap", "time_is_short", "violates_rss"]
 
 _SPEED, _LENGTH, _WIDTH = int(Vehicle.SPEED), int(Vehicle.LENGTH), int(Vehicle.WIDTH)
 _BLOCKING_DISTANCE = 1.0
 """A vehicle nearer than this to a lane's centre blocks a change to that lane [m]."""
 _LATERAL = (1.0, 2.0, 0.3)
 """RSS's lateral acceleration and braking [m/s^2], and the margin [m]."""
+
+
+class RuleScene(NamedTuple):
+    """A scene as the rules read it.
+
+    Attributes
+    ----------
+    ego, state : vehicle row (7,) and road state (4,). rows, states : of the others, (m, 7) and (m, 4).
+    centers : lane centres [m]. width : of a lane [m].
+    """
+
+    ego: FloatArray
+    state: FloatArray
+    rows: FloatArray
+    states: FloatArray
+    centers: FloatArray
+    width: float
 
 
 @kernel_inline
@@ -76,22 +94,14 @@ def _in_lane(rows: FloatArray, states: FloatArray, i: int, center: float, width:
 
 
 @kernel_no_refcount
-def alongside(
-    ego: FloatArray,
-    state: FloatArray,
-    rows: FloatArray,
-    states: FloatArray,
-    centers: FloatArray,
-    lane: int,
-    longitudinal: float,
-) -> bool:
+def alongside(scene: RuleScene, lane: int, longitudinal: float) -> bool:
     """Whether a target lane contains a vehicle alongside the ego.
 
     Parameters
     ----------
-    ego, state : vehicle row (7,) and road state (4,). rows, states : of the others, (m, 7) and (m, 4).
-    centers : lane centres [m]. lane : the target lane. longitudinal : buffer along the road [m].
+    lane : the target lane. longitudinal : buffer along the road [m].
     """
+    ego, state, rows, states, centers = scene.ego, scene.state, scene.rows, scene.states, scene.centers
     if lane == nearest(centers, state[1]):
         return False
     for i in range(rows.shape[0]):
@@ -103,12 +113,7 @@ def alongside(
 
 @kernel_no_refcount
 def violates_rss(
-    ego: FloatArray,
-    state: FloatArray,
-    rows: FloatArray,
-    states: FloatArray,
-    centers: FloatArray,
-    width: float,
+    scene: RuleScene,
     lane: int,
     speed: float,
     braking: tuple[float, float, float],
@@ -119,11 +124,12 @@ def violates_rss(
 
     Parameters
     ----------
-    ego, state, rows, states, centers : as in `alongside`. width : of a lane [m].
     lane, speed : the target command; the speed in [m/s].
     braking : of the ego, of a leader, and of a follower [m/s^2]. response : times of the ego and of a follower [s].
     acceleration : of a follower during its response time [m/s^2].
     """
+    ego, state, rows, states = scene.ego, scene.state, scene.rows, scene.states
+    centers, width = scene.centers, scene.width
     v, now = ego[_SPEED], nearest(centers, state[1])
     fast = max(v, speed)
     side = 0.0
@@ -148,19 +154,11 @@ def violates_rss(
 
 
 @kernel_no_refcount
-def time_is_short(
-    ego: FloatArray,
-    state: FloatArray,
-    rows: FloatArray,
-    states: FloatArray,
-    centers: FloatArray,
-    width: float,
-    lane: int,
-    speed: float,
-    threshold: float,
-) -> bool:
+def time_is_short(scene: RuleScene, lane: int, speed: float, threshold: float) -> bool:
     """Whether the time to collision in the target lane is below a threshold [s]; other parameters as in
     `violates_rss`."""
+    ego, state, rows, states = scene.ego, scene.state, scene.rows, scene.states
+    centers, width = scene.centers, scene.width
     v, changes = max(ego[_SPEED], speed), lane != nearest(centers, state[1])
     for i in range(rows.shape[0]):
         ahead = states[i, 0] >= state[0]

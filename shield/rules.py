@@ -16,7 +16,7 @@ from dynamics.state import FloatArray
 from shield.config import RULES_ALONE, ShieldConfig
 from shield.decision import Reason
 from shield.errors import ConfigError
-from shield.rule_kernels import alongside, lateral_gap, longitudinal_gap, time_is_short, violates_rss
+from shield.rule_kernels import RuleScene, alongside, lateral_gap, longitudinal_gap, time_is_short, violates_rss
 
 __all__ = [
     "BufferRule",
@@ -82,9 +82,10 @@ def rss_lateral_gap(
 _longitudinal, _lateral = np.vectorize(longitudinal_gap, [float]), np.vectorize(lateral_gap, [float])
 
 
-def _kinematics(scene: Scene) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Arguments of the kernels: rows and road states of the ego and the others, and the lane centres."""
-    return scene.ego, scene.ego_road, scene.others, scene.others_road, scene.road.centers
+def _kinematics(scene: Scene) -> RuleScene:
+    """The scene as the kernels read it."""
+    road = scene.road
+    return RuleScene(scene.ego, scene.ego_road, scene.others, scene.others_road, road.centers, float(road.width))
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +104,7 @@ class BufferRule:
 
     def objects(self, scene: Scene, target: Target) -> bool:
         """Whether the lane of `target` contains a vehicle alongside."""
-        return alongside(*_kinematics(scene), target.lane, self.longitudinal)
+        return alongside(_kinematics(scene), target.lane, self.longitudinal)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,9 +142,9 @@ class RssRule:
     def objects(self, scene: Scene, target: Target) -> bool:
         """Whether `target` violates a gap that RSS requires of the ego."""
         c, a = self.config, self.config.assumptions
-        aim = float(scene.road.width), target.lane, float(target.speed)
+        aim = target.lane, float(target.speed)
         braking, response = (c.braking, a.braking, a.follower_braking), (c.response_time, a.reaction_time)
-        return violates_rss(*_kinematics(scene), *aim, braking, response, a.acceleration)
+        return violates_rss(_kinematics(scene), *aim, braking, response, a.acceleration)
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,8 +161,8 @@ class TtcRule:
 
     def objects(self, scene: Scene, target: Target) -> bool:
         """Whether the time to collision in the target's lane is below the threshold."""
-        aim = float(scene.road.width), target.lane, float(target.speed)
-        return time_is_short(*_kinematics(scene), *aim, self.threshold)
+        aim = target.lane, float(target.speed)
+        return time_is_short(_kinematics(scene), *aim, self.threshold)
 
 
 def make_rule(name: str, config: ShieldConfig) -> Rule:

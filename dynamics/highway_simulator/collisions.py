@@ -113,17 +113,17 @@ def _intersect(sums: int, corners: FloatArray, ux: float, uy: float) -> tuple[bo
 
 @kernel_no_refcount
 def _handle(
-    sums: int,
-    products: int,
+    how: tuple[int, int],
     f: FloatArray,
     g: IntArray,
     p: FloatArray,
     corners: FloatArray,
-    i: int,
-    j: int,
+    pair: tuple[int, int],
     dt: float,
 ) -> None:
-    """Check two bodies for a collision, and store the impacts that the next frame applies."""
+    """Check two bodies for a collision, and store the impacts that the next frame applies. `how` is
+    `Machine.sums` and `Machine.products`."""
+    (sums, products), (i, j) = how, pair
     _outline(products, f, p, i, corners[0])
     _outline(products, f, p, j, corners[1])
     ux = f[SPEED, i] * f[COS, i] * dt - f[SPEED, j] * f[COS, j] * dt
@@ -188,4 +188,4 @@ def collide(
             pairs[at] = pair
             n += 1
     for k in range(n):
-        _handle(sums, products, f, g, p, corners, pairs[k] // bodies, pairs[k] % bodies, dt)
+        _handle((sums, products), f, g, p, corners, (pairs[k] // bodies, pairs[k] % bodies), dt)

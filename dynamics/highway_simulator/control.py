@@ -6,6 +6,7 @@ import math
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import clip, dot2, not_zero, wrap_to_pi
+from dynamics.highway_simulator.arrays import Bodies, Machine, Neighbours
 from dynamics.highway_simulator.layout import (
     ACC_MAX,
     ACCELERATION,
@@ -109,18 +110,9 @@ def linear_wheel(
 
 
 @kernel_no_refcount
-def _steer(
-    sums: int,
-    loops: IntArray,
-    f: FloatArray,
-    g: IntArray,
-    p: FloatArray,
-    lanes: FloatArray,
-    work: FloatArray,
-    busy: IntArray,
-    vehicles: int,
-) -> None:
+def _steer(machine: Machine, bodies: Bodies, work: FloatArray, busy: IntArray, vehicles: int) -> None:
     """Steering of each vehicle towards the centre of its target lane [rad]."""
+    f, g, p, lanes, loops = bodies.f, bodies.g, bodies.p, bodies.lanes, machine.loops
     ahead, x, n = work[0], work[1], 0
     for i in range(vehicles):
         kind, lateral = g[KIND, i], f[Y, i] - lanes[g[TARGET, i], LANE_Y]
@@ -132,44 +124,32 @@ def _steer(
             busy[n] = i
             n += 1
         elif kind == LINEAR and not g[CRASHED, i]:
-            f[STEERING, i] = linear_wheel(sums, loops, f, p, i, 0.0, lateral)
+            f[STEERING, i] = linear_wheel(machine.sums, loops, f, p, i, 0.0, lateral)
     pursue(loops, f, p, ahead, x, work[2], busy, n)
 
 
 @kernel_no_refcount
-def act(
-    sums: int,
-    loops: IntArray,
-    f: FloatArray,
-    g: IntArray,
-    p: FloatArray,
-    lanes: FloatArray,
-    front: IntArray,
-    rear: IntArray,
-    work: FloatArray,
-    busy: IntArray,
-    vehicles: int,
-) -> None:
+def act(machine: Machine, bodies: Bodies, near: Neighbours, work: FloatArray, busy: IntArray, vehicles: int) -> None:
     """Target lanes of all vehicles, one after the other; then steering and acceleration.
 
     Parameters
     ----------
-    front, rear : of `neighbours.find`.
     work, busy : buffers, (4, m) and (m,), written.
     """
     free, present = work[0], work[1]
-    free_flow_of_all(loops, f, g, p, lanes, work, vehicles)
+    f, g, p, front = bodies.f, bodies.g, bodies.p, near.front
+    free_flow_of_all(machine.loops, f, g, p, bodies.lanes, work, vehicles)
     changing = 0
     for i in range(vehicles):
         if g[KIND, i] in (IDM, LINEAR) and not g[CRASHED, i]:
             leader = front[g[LANE, i], i]
-            present[i] = acceleration(sums, loops, f, g, p, lanes, i, i, leader, free[i])
+            present[i] = acceleration(machine, bodies, i, i, leader, free[i])
         if g[LANE, i] != g[TARGET, i] and g[KIND, i] != CONTINUOUS:
             busy[changing] = i
             changing += 1
     for i in range(vehicles):
         if g[KIND, i] in (IDM, LINEAR) and not g[CRASHED, i] and g[CHANGES, i]:
-            changing = change_lanes(sums, loops, f, g, p, lanes, front, rear, i, busy, changing, free[i], present[i])
+            changing = change_lanes(machine, bodies, near, i, busy, changing, (free[i], present[i]))
     for i in range(vehicles):
         kind = g[KIND, i]
         if kind == EGO:
@@ -178,6 +158,6 @@ def act(
             wanted, target = present[i], g[TARGET, i]
             if g[LANE, i] != target:
                 leader = front[target, i]
-                wanted = min(wanted, acceleration(sums, loops, f, g, p, lanes, i, i, leader, free[i]))
+                wanted = min(wanted, acceleration(machine, bodies, i, i, leader, free[i]))
             f[ACCELERATION, i] = clip(wanted, -p[ACC_MAX, i], p[ACC_MAX, i])
-    _steer(sums, loops, f, g, p, lanes, work, busy, vehicles)
+    _steer(machine, bodies, work, busy, vehicles)

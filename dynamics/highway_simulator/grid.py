@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import clip
+from dynamics.highway_simulator.arrays import Bodies, ObservationConfig
 from dynamics.highway_simulator.layout import LANE_LENGTH, LANE_Y, X, Y
 from dynamics.highway_simulator.observe import feature_of
-from dynamics.state import FloatArray, IntArray
+from dynamics.state import FloatArray
 
 __all__ = ["LAYERS", "ON_ROAD", "occupancy_grid"]
 
@@ -55,28 +56,19 @@ def _draw_road(f: FloatArray, lanes: FloatArray, grid: FloatArray, layer: FloatA
 
 @kernel_no_refcount
 def occupancy_grid(
-    f: FloatArray,
-    g: IntArray,
-    lanes: FloatArray,
-    vehicles: int,
-    features: IntArray,
-    ranges: FloatArray,
-    places: FloatArray,
-    grid: FloatArray,
-    clipped: bool,
-    seen: FloatArray,
-    out: NDArray[np.float32],
+    bodies: Bodies, vehicles: int, view: ObservationConfig, seen: FloatArray, out: NDArray[np.float32]
 ) -> None:
     """Write a layer for each feature, (layers, cells along times cells across), to `out`.
 
     Parameters
     ----------
-    features : indices in `observe.FEATURES`, or `ON_ROAD`. ranges : (layers, 2), the values mapped to -1 and 1; NaN for
-        layers that are not normalised.
-    places : (2, 2), the same for x and y, by which cells are found.
-    grid : (2, 3), least coordinate [m], size [m] and number of the cells along and across.
+    view : `features`, indices in `observe.FEATURES`, or `ON_ROAD`; `ranges` (layers, 2), the values mapped to -1 and 1,
+        NaN for layers that are not normalised; `places` (2, 2), the same for x and y, by which cells are found; `grid`
+        (2, 3), least coordinate [m], size [m] and number of the cells along and across.
     seen : buffer like `out`, written.
     """
+    f, g, lanes, clipped = bodies.f, bodies.g, bodies.lanes, view.switches[2]
+    features, ranges, places, grid = view.features, view.ranges, view.places, view.grid
     across = int(grid[1, 2])
     seen[:] = math.nan
     for layer in range(len(features)):

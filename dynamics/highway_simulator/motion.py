@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
+from dynamics.highway_simulator.arrays import Bodies
 from dynamics.highway_simulator.lanes import closest_lane, lanes_at
 from dynamics.highway_simulator.layout import (
     ACCELERATION,
@@ -99,23 +100,14 @@ def bicycle(
 
 
 @kernel_no_refcount
-def move(
-    loops: IntArray,
-    f: FloatArray,
-    g: IntArray,
-    p: FloatArray,
-    lanes: FloatArray,
-    work: FloatArray,
-    busy: IntArray,
-    vehicles: int,
-    dt: float,
-) -> None:
+def move(loops: IntArray, bodies: Bodies, work: FloatArray, busy: IntArray, vehicles: int, dt: float) -> None:
     """Advance all vehicles by a frame of `dt` [s], and apply the impacts of the last frame.
 
     Parameters
     ----------
     work, busy : buffers, (4, m) and (m,), written.
     """
+    f, g, p, lanes = bodies.f, bodies.g, bodies.p, bodies.lanes
     n = 0
     for i in range(vehicles):
         limit(f, g, p, i, dt)

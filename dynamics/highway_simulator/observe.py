@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import clip, dot2, wrap_to_pi
+from dynamics.highway_simulator.arrays import Bodies, ObservationConfig, Work
 from dynamics.highway_simulator.layout import COS, HEADING, KIND, LANE, LANE_Y, LENGTH, OBSTACLE, SIN, SPEED, X, Y
 from dynamics.highway_simulator.random import GeneratorRow, interval
 from dynamics.state import FloatArray, IntArray
@@ -70,23 +71,14 @@ def feature_of(f: FloatArray, g: IntArray, lanes: FloatArray, i: int, feature: i
 
 
 @kernel_no_refcount
-def _near(
-    sums: int,
-    f: FloatArray,
-    g: IntArray,
-    p: FloatArray,
-    most: int,
-    behind: bool,
-    unsorted: bool,
-    obstacles: bool,
-    near: IntArray,
-) -> int:
+def _near(sums: int, bodies: Bodies, most: int, behind: bool, unsorted: bool, obstacles: bool, near: IntArray) -> int:
     """Up to `most` bodies within sight, by distance along the road unless `unsorted`: `near` (m,), written.
 
     Returns
     -------
     The number of bodies.
     """
+    f, g, p = bodies.f, bodies.g, bodies.p
     n, x, y, back = 0, f[X, 0], f[Y, 0], -2 * p[LENGTH, 0]
     for i in range(1, f.shape[1]):
         dx, dy = f[X, i] - x, f[Y, i] - y
@@ -113,32 +105,22 @@ def _near(
 
 @kernel_no_refcount
 def kinematics(
-    sums: int,
-    row: GeneratorRow,
-    f: FloatArray,
-    g: IntArray,
-    p: FloatArray,
-    lanes: FloatArray,
-    features: IntArray,
-    ranges: FloatArray,
-    switches: tuple[bool, bool, bool, bool, bool, bool],
-    near: IntArray,
-    seen: FloatArray,
-    out: NDArray[np.float32],
+    sums: int, row: GeneratorRow, bodies: Bodies, view: ObservationConfig, work: Work, out: NDArray[np.float32]
 ) -> None:
-    """Write the ego and the bodies near it, nearest first, to `out`, (bodies, features).
+    """Write the ego and the bodies near it, nearest first, to `out`, (rows, features).
 
     Parameters
     ----------
     row : the random generator, for a shuffled order.
-    features : indices in `FEATURES`. ranges : (features, 2), the values mapped to -1 and 1; NaN for features that are
-        not normalised.
-    switches : absolute, normalised, clipped, vehicles behind, shuffled, obstacles.
-    near, seen : buffers, (m,) and (bodies, features), written.
+    view : `features`, indices in `FEATURES`; `ranges` (features, 2), the values mapped to -1 and 1, NaN for features
+        that are not normalised; `switches`: absolute, normalised, clipped, vehicles behind, shuffled, obstacles.
+    work : buffers; `busy` (m,) and `seen` (rows, features) are written.
     """
-    absolute, normalised, clipped, behind, shuffled, obstacles = switches
-    bodies, n = len(out), _near(sums, f, g, p, len(out) - 1, behind, shuffled, obstacles, near)
-    for k in range(bodies):
+    absolute, normalised, clipped, behind, shuffled, obstacles = view.switches
+    f, g, lanes, features, ranges = bodies.f, bodies.g, bodies.lanes, view.features, view.ranges
+    near, seen, rows = work.busy, work.seen, len(out)
+    n = _near(sums, bodies, rows - 1, behind, shuffled, obstacles, near)
+    for k in range(rows):
         for c in range(len(features)):
             if k > n:
                 seen[k, c] = 0.0
@@ -153,11 +135,11 @@ def kinematics(
                     value = clip(value, -1.0, 1.0)
             seen[k, c] = value
     if shuffled:
-        for k in range(bodies - 2, 0, -1):
+        for k in range(rows - 2, 0, -1):
             j = interval(row, k)
             if j != k:
                 for c in range(len(features)):
                     seen[1 + k, c], seen[1 + j, c] = seen[1 + j, c], seen[1 + k, c]
-    for k in range(bodies):
+    for k in range(rows):
         for c in range(len(features)):
             out[k, c] = np.float32(seen[k, c])

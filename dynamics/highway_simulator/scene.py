@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
+from dynamics.highway_simulator.arrays import Bodies, Rules
 from dynamics.highway_simulator.lanes import closest_lane, lanes_at
 from dynamics.highway_simulator.layout import (
     A_SPEED,
@@ -31,7 +32,7 @@ from dynamics.highway_simulator.layout import (
     Y,
 )
 from dynamics.highway_simulator.random import GeneratorRow, below, uniform
-from dynamics.state import FloatArray, IntArray
+from dynamics.state import FloatArray
 
 __all__ = ["next_target_speed", "randomize", "spawn", "speed_index"]
 
@@ -83,34 +84,16 @@ def randomize(row: GeneratorRow, kind: int, ranges: FloatArray, p: FloatArray, i
 
 
 @kernel_no_refcount
-def spawn(
-    row: GeneratorRow,
-    f: FloatArray,
-    g: IntArray,
-    p: FloatArray,
-    lanes: FloatArray,
-    vehicles: int,
-    kinds: tuple[int, int],
-    constants: FloatArray,
-    ranges: FloatArray,
-    spacings: tuple[float, float, float],
-    target_speeds: FloatArray,
-    first_lane: int,
-    checks: bool,
-) -> None:
+def spawn(row: GeneratorRow, bodies: Bodies, rules: Rules) -> None:
     """Place the ego and the traffic on the road.
 
     Parameters
     ----------
     row : the random generator.
-    kinds : of the ego and of the traffic. constants : columns of `p`, (1 + c, P): of the ego, and of the c classes of
-        the traffic, which alternate.
-    ranges : of the parameters that are drawn for each vehicle, (6, 2): DELTA, and the five parameters of the linear
-        model.
-    spacings : of the ego and of the traffic, and exp(-lanes / 8).
-    first_lane : of the ego, or -1 to draw it.
-    checks : whether the traffic checks for collisions.
     """
+    f, g, p, lanes, numbers = bodies.f, bodies.g, bodies.p, bodies.lanes, rules.numbers
+    vehicles, first_lane, checks, kinds = numbers[1], numbers[2], numbers[3] != 0, (numbers[4], numbers[5])
+    constants, spacings, target_speeds = rules.constants, rules.spacings, rules.target_speeds
     f[:], g[:] = 0.0, 0
     n = len(lanes)
     for i in range(vehicles):
@@ -140,4 +123,4 @@ def spawn(
                 f[TARGET_SPEED, i] = target_speeds[speed_index(target_speeds, speed)]
             continue
         f[TIMER, i] = ((x + f[Y, i]) * math.pi) % p[DELAY, i]
-        randomize(row, kinds[1], ranges, p, i)
+        randomize(row, kinds[1], rules.ranges, p, i)

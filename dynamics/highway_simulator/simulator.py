@@ -21,6 +21,7 @@ from dynamics.highway_simulator.scenario import Scenario, scenario_of, scenario_
 from dynamics.highway_simulator.step_kernels import (
     Machine,
     Rules,
+    Simulation,
     StepResults,
     Work,
     Worlds,
@@ -276,9 +277,8 @@ class Simulator:
             configuration.
         """
         chosen, numbers = checked_resets(self.num_envs, seeds, which)
-        rules, view = self.scenario.rules, self.scenario.view
         self._check_configured()
-        reset_all(self.machine, self.worlds, rules, view, self._works[0], self.flat, chosen, numbers)
+        reset_all(self._simulation(self._works[0]), chosen, numbers)
         return self.seen.observations
 
     def step(
@@ -305,27 +305,27 @@ class Simulator:
         ConfigError
             If `which` is not in increasing order, or an environment does not exist.
         """
-        scenario, seen = self.scenario, self.seen
-        given = self._given(actions)
+        given, seen = self._given(actions), self.seen
         if again:
             self._check_configured()
 
         def part(k: int, first: int, last: int) -> None:
-            work = self._works[k]
-            step_all(
-                self.machine, self.worlds, scenario.rules, scenario.view, work, self.flat, given, first, last, again
-            )
+            step_all(self._simulation(self._works[k]), given, first, last, again)
 
         self._slices.run(part, checked_steps(self.num_envs, which))
         return seen.observations, seen.reward, seen.terminated, seen.truncated
+
+    def _simulation(self, work: Work) -> Simulation:
+        """What a step of the environments reads and writes, with the buffers of one thread."""
+        scenario = self.scenario
+        return Simulation(self.machine, self.worlds, scenario.rules, scenario.view, work, self.flat)
 
     def step_first(
         self, actions: Any, count: int
     ) -> tuple[NDArray[np.float32], FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
         """`step` of the first `count` environments only. The entries of the others stay unchanged."""
-        scenario, seen, work = self.scenario, self.seen, self._works[0]
-        given = self._given(actions)
-        step_all(self.machine, self.worlds, scenario.rules, scenario.view, work, self.flat, given, 0, count, False)
+        given, seen = self._given(actions), self.seen
+        step_all(self._simulation(self._works[0]), given, 0, count, False)
         return seen.observations, seen.reward, seen.terminated, seen.truncated
 
     def begin(self, action: Any) -> None:
@@ -335,7 +335,7 @@ class Simulator:
     def frame(self, rows: FloatArray, throttle: float = np.nan, wheel: float = np.nan) -> bool:
         """One frame of the only copy; see `step_kernels.frame`."""
         work = self._works[0]
-        return bool(frame(self.machine, self.worlds, self.scenario.rules, work, 0, throttle, wheel, rows))
+        return bool(frame(self._simulation(work), 0, throttle, wheel, rows))
 
     def look(self, rows: FloatArray) -> bool:
         """The bodies of the only copy as rows; see `step_kernels.look`."""

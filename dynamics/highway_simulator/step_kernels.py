@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import clip
+from dynamics.highway_simulator.arrays import (
+    Bodies,
+    Machine,
+    Neighbours,
+    ObservationConfig,
+    Rules,
+    Simulation,
+    StepResults,
+    Work,
+    Worlds,
+)
 from dynamics.highway_simulator.collisions import collide
 from dynamics.highway_simulator.control import act
 from dynamics.highway_simulator.grid import occupancy_grid
@@ -42,6 +50,7 @@ __all__ = [
     "Machine",
     "ObservationConfig",
     "Rules",
+    "Simulation",
     "StepResults",
     "Work",
     "Worlds",
@@ -58,126 +67,18 @@ __all__ = [
 ]
 
 
-class Machine(NamedTuple):
-    """How numpy computes on this machine: `sums_of_numpy`, and the `addresses` of its loops."""
-
-    sums: int
-    products: int
-    loops: IntArray
-
-
-class Worlds(NamedTuple):
-    """The state of e environments of m bodies (see `layout`).
-
-    Attributes
-    ----------
-    f, g, p : (e, F, m), (e, G, m) and (e, P, m).
-    order : (e, m), bodies by x.
-    rows : (e, 6), the random generators. clock : (e,), time since the reset [s].
-    """
-
-    f: FloatArray
-    g: IntArray
-    p: FloatArray
-    order: IntArray
-    rows: NDArray[np.uint64]
-    clock: FloatArray
-
-
-class Rules(NamedTuple):
-    """The constants of all environments.
-
-    Attributes
-    ----------
-    lanes : (n, LANE_COLUMNS).
-    numbers : frames of a decision, vehicles, ego's first lane or -1, whether the traffic checks for collisions, kinds
-        of ego and traffic.
-    times : duration of a frame, of a decision and of an episode [s].
-    spacings : of ego and traffic, and exp(-lanes / 8).
-    constants : (1 + c, P), of the ego and of the c classes of the traffic, which alternate.
-    ranges : (6, 2), of the parameters that are drawn for each vehicle.
-    target_speeds : of the ego [m/s]. labels : of each action: 0 left, 1 none, 2 right, 3 faster, 4 slower.
-    reward : weights of collision, right lane, high speed and being on the road; the speeds mapped to 0 and 1 [m/s];
-        whether it is normalised; and whether leaving the road ends an episode.
-    """
-
-    lanes: FloatArray
-    numbers: tuple[int, int, int, int, int, int]
-    times: tuple[float, float, float]
-    spacings: tuple[float, float, float]
-    constants: FloatArray
-    ranges: FloatArray
-    target_speeds: FloatArray
-    labels: IntArray
-    reward: tuple[float, float, float, float, float, float, bool, bool]
-
-
-class ObservationConfig(NamedTuple):
-    """The configuration of an observation: see `grid.occupancy_grid`, and `observe.kinematics` if `grid` is empty, (0,
-    3)."""
-
-    features: IntArray
-    ranges: FloatArray
-    switches: tuple[bool, bool, bool, bool, bool, bool]
-    places: FloatArray
-    grid: FloatArray
-
-
-class Work(NamedTuple):
-    """Buffers of the kernels, overwritten."""
-
-    numbers: FloatArray
-    busy: IntArray
-    front: IntArray
-    rear: IntArray
-    corners: FloatArray
-    pairs: IntArray
-    seen: FloatArray
-
-
-class StepResults(NamedTuple):
-    """Results of a step, one entry for each environment.
-
-    Attributes
-    ----------
-    observations : (e, bodies, features). terminal : the same at the end of an episode, before a reset.
-    reward, terminated, truncated : (e,).
-    parts : (e, 4), terms of the reward: crashed, right lane, high speed, on the road.
-    speed : (e,), of the ego [m/s].
-    """
-
-    observations: NDArray[np.float32]
-    terminal: NDArray[np.float32]
-    reward: FloatArray
-    terminated: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
-    parts: FloatArray
-    speed: FloatArray
+@kernel_inline
+def _bodies(worlds: Worlds, rules: Rules, e: int) -> Bodies:
+    """The bodies of one environment."""
+    return Bodies(worlds.f[e], worlds.g[e], worlds.p[e], rules.lanes)
 
 
 @kernel_no_refcount
 def _restart(worlds: Worlds, rules: Rules, e: int) -> None:
     """Draw a new scene in one environment."""
-    numbers = rules.numbers
-    f, g, p, row = worlds.f[e], worlds.g[e], worlds.p[e], worlds.rows[e]
-    kinds = numbers[4], numbers[5]
-    spawn(
-        row,
-        f,
-        g,
-        p,
-        rules.lanes,
-        numbers[1],
-        kinds,
-        rules.constants,
-        rules.ranges,
-        rules.spacings,
-        rules.target_speeds,
-        numbers[2],
-        numbers[3] != 0,
-    )
+    spawn(worlds.rows[e], _bodies(worlds, rules, e), rules)
     worlds.clock[e] = 0.0
-    for i in range(f.shape[1]):
+    for i in range(worlds.order.shape[1]):
         worlds.order[e, i] = i
 
 
@@ -203,14 +104,14 @@ def advance(
     """Advance one environment by a frame. `level` is the result of `sort` before the frame; the result is that after
     it."""
     f, g, p, order = worlds.f[e], worlds.g[e], worlds.p[e], worlds.order[e]
-    vehicles, dt, lanes = rules.numbers[1], rules.times[0], rules.lanes
+    vehicles, dt, bodies = rules.numbers[1], rules.times[0], _bodies(worlds, rules, e)
     find(f, g, order, level, work.front, work.rear)
-    act(machine.sums, machine.loops, f, g, p, lanes, work.front, work.rear, work.numbers, work.busy, vehicles)
+    act(machine, bodies, Neighbours(work.front, work.rear), work.numbers, work.busy, vehicles)
     if not math.isnan(throttle):
         f[ACCELERATION, 0] = throttle
     if not math.isnan(wheel):
         f[STEERING, 0] = wheel
-    move(machine.loops, f, g, p, lanes, work.numbers, work.busy, vehicles, dt)
+    move(machine.loops, bodies, work.numbers, work.busy, vehicles, dt)
     level = sort(f, order)
     collide(machine.sums, machine.products, f, g, p, order, work.corners, work.pairs, vehicles, dt)
     return level
@@ -240,36 +141,11 @@ def _show(
     machine: Machine, worlds: Worlds, rules: Rules, view: ObservationConfig, work: Work, e: int, out: Any
 ) -> None:
     """Fill in the observation of one environment, `out` (rows, features)."""
-    f, g, p, row = worlds.f[e], worlds.g[e], worlds.p[e], worlds.rows[e]
+    bodies = _bodies(worlds, rules, e)
     if len(view.grid) > 0:
-        occupancy_grid(
-            f,
-            g,
-            rules.lanes,
-            rules.numbers[1],
-            view.features,
-            view.ranges,
-            view.places,
-            view.grid,
-            view.switches[2],
-            work.seen,
-            out,
-        )
+        occupancy_grid(bodies, rules.numbers[1], view, work.seen, out)
         return
-    kinematics(
-        machine.sums,
-        row,
-        f,
-        g,
-        p,
-        rules.lanes,
-        view.features,
-        view.ranges,
-        view.switches,
-        work.busy,
-        work.seen,
-        out,
-    )
+    kinematics(machine.sums, worlds.rows[e], bodies, view, work, out)
 
 
 @kernel_no_refcount
@@ -353,9 +229,7 @@ def look(worlds: Worlds, rules: Rules, e: int, rows: FloatArray) -> bool:
 
 
 @kernel_no_refcount
-def frame(
-    machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int, throttle: float, wheel: float, rows: FloatArray
-) -> bool:
+def frame(simulation: Simulation, e: int, throttle: float, wheel: float, rows: FloatArray) -> bool:
     """Advance one environment by a frame, and return whether the ego is on the road afterwards.
 
     Parameters
@@ -363,22 +237,15 @@ def frame(
     throttle, wheel : inputs of the ego in place of those of its controllers [m/s^2, rad]; NaN for its controllers.
     rows : (m, 7), written: x, y [m], heading [rad], speed [m/s], length, width [m], crashed, of each body.
     """
+    machine, worlds, rules, _, work, _ = simulation
     advance(machine, worlds, rules, work, e, sort(worlds.f[e], worlds.order[e]), throttle, wheel)
     return look(worlds, rules, e, rows)
 
 
 @kernel_no_refcount
-def reset_all(
-    machine: Machine,
-    worlds: Worlds,
-    rules: Rules,
-    view: ObservationConfig,
-    work: Work,
-    seen: StepResults,
-    which: IntArray,
-    seeds: IntArray,
-) -> None:
+def reset_all(simulation: Simulation, which: IntArray, seeds: IntArray) -> None:
     """Reset environments. With a negative seed, the environment's generator continues."""
+    machine, worlds, rules, view, work, seen = simulation
     for k in range(len(which)):
         e = which[k]
         if seeds[k] >= 0:
@@ -389,20 +256,10 @@ def reset_all(
 
 
 @kernel_no_refcount
-def step_all(
-    machine: Machine,
-    worlds: Worlds,
-    rules: Rules,
-    view: ObservationConfig,
-    work: Work,
-    seen: StepResults,
-    actions: FloatArray,
-    first: int,
-    last: int,
-    again: bool,
-) -> None:
+def step_all(simulation: Simulation, actions: FloatArray, first: int, last: int, again: bool) -> None:
     """One decision in each of the environments from `first` to `last`, `last` excluded; with `again`, ended episodes
     are reset."""
+    machine, worlds, rules, view, work, seen = simulation
     for e in range(first, last):
         begin(worlds, rules, e, actions[e])
         level = sort(worlds.f[e], worlds.order[e])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import clip, dot2, dot3, not_zero
+from dynamics.highway_simulator.arrays import Bodies, Machine, Neighbours
 from dynamics.highway_simulator.lanes import reachable
 from dynamics.highway_simulator.layout import (
     A_GAP,
@@ -123,18 +124,7 @@ def linear(
 
 
 @kernel_inline
-def acceleration(
-    sums: int,
-    loops: IntArray,
-    f: FloatArray,
-    g: IntArray,
-    p: FloatArray,
-    lanes: FloatArray,
-    judge: int,
-    body: int,
-    leader: int,
-    free: float,
-) -> float:
+def acceleration(machine: Machine, bodies: Bodies, judge: int, body: int, leader: int, free: float) -> float:
     """Acceleration of a body behind a leader, by the model and the constants of vehicle `judge` [m/s^2].
 
     Parameters
@@ -142,90 +132,74 @@ def acceleration(
     body, leader : -1 for none.
     free : `free_flow` of `judge` itself. For another body it is computed here.
     """
+    sums, f, g, p = machine.sums, bodies.f, bodies.g, bodies.p
     if g[KIND, judge] == LINEAR:
         ahead = f[X, leader] - f[X, body] if body >= 0 and leader >= 0 else 0.0
         return linear(sums, f, g, p, judge, body, leader, ahead)
     if body < 0 or g[KIND, body] == OBSTACLE:
         return 0.0
     if body != judge:
-        free = free_flow_of(loops, f, g, p, lanes, judge, body)
+        free = free_flow_of(machine.loops, f, g, p, bodies.lanes, judge, body)
     if leader < 0:
         return free
     return acceleration_behind_leader(sums, f, p, judge, body, leader, f[X, leader] - f[X, body], free)
 
 
 @kernel_no_refcount
-def _mobil(
-    sums: int,
-    loops: IntArray,
-    f: FloatArray,
-    g: IntArray,
-    p: FloatArray,
-    lanes: FloatArray,
-    front: IntArray,
-    rear: IntArray,
-    i: int,
-    lane: int,
-    free: float,
-    present: float,
-) -> bool:
-    """Whether a vehicle changes to a lane: no vehicle has to brake hard for it, and it gains.
+def _mobil(machine: Machine, bodies: Bodies, near: Neighbours, i: int, lane: int, own: tuple[float, float]) -> bool:
+    """Whether a vehicle changes to a lane: no vehicle has to brake hard for it, and it gains. `own` as in
+    `change_lanes`.
 
     Cheap conditions are checked first. The order does not change the result.
     """
+    g, p, front, rear, free, present = bodies.g, bodies.p, near.front, near.rear, own[0], own[1]
     leader = front[lane, i]
-    gain = acceleration(sums, loops, f, g, p, lanes, i, i, leader, free) - present
+    gain = acceleration(machine, bodies, i, i, leader, free) - present
     if p[POLITENESS, i] == 0.0 and gain < p[GAIN, i]:
         return False
     follower = rear[lane, i]
-    imposed = acceleration(sums, loops, f, g, p, lanes, i, follower, i, free)
+    imposed = acceleration(machine, bodies, i, follower, i, free)
     if imposed < -p[IMPOSED, i]:
         return False
     if p[POLITENESS, i] != 0.0:
         old_leader = front[g[LANE, i], i]
         old_follower = rear[g[LANE, i], i]
-        others = imposed - acceleration(sums, loops, f, g, p, lanes, i, follower, leader, free)
-        others += acceleration(sums, loops, f, g, p, lanes, i, old_follower, old_leader, free)
-        others -= acceleration(sums, loops, f, g, p, lanes, i, old_follower, i, free)
+        others = imposed - acceleration(machine, bodies, i, follower, leader, free)
+        others += acceleration(machine, bodies, i, old_follower, old_leader, free)
+        others -= acceleration(machine, bodies, i, old_follower, i, free)
         gain += p[POLITENESS, i] * others
     return not gain < p[GAIN, i]
 
 
 @kernel_no_refcount
 def change_lanes(
-    sums: int,
-    loops: IntArray,
-    f: FloatArray,
-    g: IntArray,
-    p: FloatArray,
-    lanes: FloatArray,
-    front: IntArray,
-    rear: IntArray,
+    machine: Machine,
+    bodies: Bodies,
+    near: Neighbours,
     i: int,
     changers: IntArray,
     changing: int,
-    free: float,
-    present: float,
+    own: tuple[float, float],
 ) -> int:
     """Update the target lane of a vehicle in place. Vehicles with a higher index see the result.
 
     Parameters
     ----------
-    front, rear : of `neighbours.find`.
     changers, changing : the vehicles that are changing lanes, and their number. The vehicle may be added.
-    free, present : its acceleration on an empty road, and in its lane [m/s^2].
+    own : its acceleration on an empty road, and in its lane [m/s^2].
 
     Returns
     -------
     The number of vehicles that are changing lanes.
     """
+    f, g, p, lanes = bodies.f, bodies.g, bodies.p, bodies.lanes
     lane, target = g[LANE, i], g[TARGET, i]
     if lane != target:
         for k in range(changing):
             v = changers[k]
             if v == i or g[LANE, v] == target or g[TARGET, v] != target:
                 continue
-            if 0.0 < f[X, v] - f[X, i] < desired_gap(sums, f, p, i, i, v):
+            if 0.0 < f[X, v] - f[X, i] < desired_gap(machine.sums, f, p, i, i, v):
                 g[TARGET, i] = lane
                 break
         return changing
@@ -238,7 +212,7 @@ def change_lanes(
             continue
         if not reachable(lanes, candidate, f[X, i], f[Y, i]) or abs(f[SPEED, i]) < 1.0:
             continue
-        if _mobil(sums, loops, f, g, p, lanes, front, rear, i, candidate, free, present):
+        if _mobil(machine, bodies, near, i, candidate, own):
             g[TARGET, i] = candidate
     if g[TARGET, i] != lane:
         changers[changing] = i

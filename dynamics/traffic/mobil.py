@@ -14,6 +14,7 @@ highway-env 1.12's `IDMVehicle`.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +28,8 @@ __all__ = [
     "LEAST_GAIN",
     "TIME",
     "TWICE_ROOT",
+    "LaneSight",
+    "TrafficInLanes",
     "desired_gap",
     "desired_gap_with",
     "lane_change_incentive",
@@ -44,6 +47,41 @@ _LEAVES = 1.0
 [s]."""
 LEAST_GAIN = 0.2
 """Least gain in acceleration of a lane change [m/s^2]."""
+
+
+class TrafficInLanes(NamedTuple):
+    """m vehicles and their lanes.
+
+    Attributes
+    ----------
+    states : road states (m, 4).
+    across : lateral speed of each vehicle, (m,) [m/s].
+    lane : nearest lane of each vehicle, (m,).
+    low, high : edges of the lanes that each vehicle touches, (m,) [m]. A vehicle that touches the centre of another's
+        lane may soon be its leader.
+    """
+
+    states: FloatArray
+    across: FloatArray
+    lane: IntArray
+    low: FloatArray
+    high: FloatArray
+
+
+class LaneSight(NamedTuple):
+    """Lanes, and when a lane change into them is an incentive.
+
+    Attributes
+    ----------
+    centers : of the lanes, (lanes,) [m].
+    sight : greatest distance from a lane's centre at which a vehicle counts as in the lane [m].
+    slack : by how much the gain may fall short [m/s^2]; and by how much d* / d of the new follower may exceed its
+        bound.
+    """
+
+    centers: FloatArray
+    sight: float
+    slack: float
 
 
 @kernel_inline
@@ -79,7 +117,7 @@ def _mobil_permits(v: float, now: float, gap: float, speed: float, back: float, 
     v : speed of the vehicle [m/s]. now : (d* / d)^2 to the old leader.
     gap, speed : distance [m] and speed [m/s] of the new leader.
     back, behind : distance [m] and speed [m/s] of the new follower.
-    slack : as in `lane_change_incentives`.
+    slack : as in `LaneSight`.
     """
     gain = COMFORT * (now - _gap_ratio(v, v - speed, gap) ** 2)
     imposed = _gap_ratio(behind, behind - v, back)
@@ -95,22 +133,13 @@ def _counts_in_lane(r: float, across: float, center: float, sight: float) -> boo
 
 @kernel_inline
 def lane_change_incentive(
-    j: int,
-    states: FloatArray,
-    across: FloatArray,
-    lane: IntArray,
-    low: FloatArray,
-    high: FloatArray,
-    centers: FloatArray,
-    sight: float,
-    slack: float,
-    ego: FloatArray,
-    asked: BoolArray,
-    out: BoolArray,
+    j: int, traffic: TrafficInLanes, lanes: LaneSight, ego: FloatArray, asked: BoolArray, out: BoolArray
 ) -> None:
     """Whether vehicle `j` would gain by a change into the lane below its own in r, and into the one above, `out` (2,),
     written. Only lanes `asked` for (2,) are computed; the others are False. The other parameters are those of
     `lane_change_incentives`."""
+    states, across, lane, low, high = traffic.states, traffic.across, traffic.lane, traffic.low, traffic.high
+    centers, sight, slack = lanes.centers, lanes.sight, lanes.slack
     s, v, own = states[j, 0], states[j, 3], centers[lane[j]]
     now, ahead = 0.0, ego[0] - s
     if ahead >= 0 and (abs(ego[1] - own) <= sight or low[j] < ego[1] < high[j]):
@@ -142,36 +171,18 @@ def lane_change_incentive(
 
 @kernel_no_refcount
 def lane_change_incentives(
-    states: FloatArray,
-    across: FloatArray,
-    lane: IntArray,
-    low: FloatArray,
-    high: FloatArray,
-    centers: FloatArray,
-    sight: float,
-    slack: float,
-    ego: FloatArray,
-    asked: BoolArray,
-    out: BoolArray,
+    traffic: TrafficInLanes, lanes: LaneSight, ego: FloatArray, asked: BoolArray, out: BoolArray
 ) -> None:
     """Whether each vehicle would gain by a change into the lane below its own in r, and into the one above, `out` (m,
     2), written.
 
     Parameters
     ----------
-    states : road states (m, 4).
-    across : lateral speed of each vehicle, (m,) [m/s].
-    lane : nearest lane of each vehicle, (m,). centers : of the lanes, (lanes,) [m].
-    low, high : edges of the lanes that each vehicle touches, (m,) [m]. A vehicle that touches the centre of another's
-        lane may soon be its leader.
-    sight : greatest distance from a lane's centre at which a vehicle counts as in the lane [m].
-    slack : by how much the gain may fall short [m/s^2]; and by how much d* / d of the new follower may exceed its
-        bound.
     ego : road state (4,) of the ego. It counts as a leader in the old lane, but not as a vehicle in the new one: the
         others do not see it there.
     asked : which lane changes to compute, (m, 2); the others are False in `out`.
     """
-    for j in range(states.shape[0]):
+    for j in range(traffic.states.shape[0]):
         out[j, 0] = out[j, 1] = False
         if asked[j, 0] or asked[j, 1]:
-            lane_change_incentive(j, states, across, lane, low, high, centers, sight, slack, ego, asked[j], out[j])
+            lane_change_incentive(j, traffic, lanes, ego, asked[j], out[j])

@@ -40,13 +40,14 @@ from dynamics.traffic.occupancy_kernels import (
     touched_lanes,
     update_turning_allowances,
 )
-from dynamics.traffic.reaction import hardest_braking
-from dynamics.traffic.tables import Bodies, Motion, Tables, bodies_of, motion_of
+from dynamics.traffic.reaction import LapPosition, ReactionWork, hardest_braking
+from dynamics.traffic.tables import Bodies, Motion, Tables, VehicleBodies, VehicleTables, bodies_of, motion_of
 
 __all__ = [
     "Occupancy",
     "OtherVehicles",
-    "PreviousVehicles",
+    "PreviousTables",
+    "VehiclesOnRoad",
     "buffer_shape",
     "constant_velocity",
     "derive_tables",
@@ -146,70 +147,73 @@ def order_by_position(states: FloatArray, order: IntArray) -> None:
         order[k] = i
 
 
+class VehiclesOnRoad(NamedTuple):
+    """Vehicles and the bends of their road.
+
+    Attributes
+    ----------
+    others, states : vehicle rows (m, 7) and road states (m, 4). growth, stretch : see `touched_lanes` and `rear_of`.
+    """
+
+    others: FloatArray
+    states: FloatArray
+    growth: FloatArray
+    stretch: FloatArray
+
+
+class PreviousTables(NamedTuple):
+    """Road states (m, 4), `Tables.numbers` and `Tables.recent` of the frame before; of no vehicles if there is none."""
+
+    states: FloatArray
+    numbers: FloatArray
+    recent: FloatArray
+
+
 @kernel_inline
 def derive_tables(
-    others: FloatArray,
-    states: FloatArray,
-    growth: FloatArray,
-    stretch: FloatArray,
-    centers: FloatArray,
-    width: float,
+    vehicles: VehiclesOnRoad,
+    lanes: LaneMarkings,
     settings: FloatArray,
-    lap: float,
-    ego: float,
-    states0: FloatArray,
-    numbers0: FloatArray,
-    recent0: FloatArray,
-    marks: IntArray,
-    numbers: FloatArray,
-    brakes: FloatArray,
-    recent: FloatArray,
-    order: IntArray,
-    ways: FloatArray,
+    place: LapPosition,
+    before: PreviousTables,
+    tables: Tables,
+    work: ReactionWork,
 ) -> None:
     """Fill in the tables of `OtherVehicles`.
 
     Parameters
     ----------
-    others, states : vehicle rows (m, 7) and road states (m, 4). growth, stretch : see `touched_lanes` and `rear_of`.
-    centers, width : of the lanes [m]. settings : the numbers of `motion_settings`.
-    lap, ego : see `hardest_braking`.
-    states0, numbers0, recent0 : of the frame before; of no vehicles if there is none.
-    marks, numbers, brakes, recent : `Tables`, written.
-    order, ways : buffers, overwritten, (m,) and `buffer_shape`.
+    settings : the numbers of `motion_settings`. place : see `hardest_braking`.
+    tables : written.
+    work : buffers, overwritten, (m,) and `buffer_shape`.
     """
-    motion, bodies, m = motion_of(settings), bodies_of(marks, numbers, brakes, recent), states.shape[0]
-    touched_lanes(others, states, growth, LaneMarkings(centers, width, settings[17], settings[18], motion.dt), bodies)
+    others, states, stretch, states0 = vehicles.others, vehicles.states, vehicles.stretch, before.states
+    marks, brakes, recent, order, ways = tables.marks, tables.brakes, tables.recent, work.order, work.ways
+    motion, bodies, m = motion_of(settings), bodies_of(marks, tables.numbers, brakes, recent), states.shape[0]
+    reachable = VehicleBodies(others, states, bodies)
+    touched_lanes(others, states, vehicles.growth, lanes, bodies)
     for i in range(m):
         swing = max(others[i, _LENGTH] / _CAR, 1.0)
         bodies.swing[i], bodies.budget[i], bodies.action[i] = swing, swing * motion.loss, swing * motion.action
     if states0.shape[0] == m:
-        before = bodies_of(marks, numbers0, brakes, recent0)
-        update_turning_allowances(states0, before, states, stretch, motion, lap, bodies)
+        last = bodies_of(marks, before.numbers, brakes, before.recent)
+        update_turning_allowances(states0, last, states, stretch, motion, place.lap, bodies)
     else:
         for i in range(m):
             for k in range(recent.shape[1]):
                 recent[i, k] = 0.0
     order_by_position(states, order)
-    hardest_braking(others, states, stretch, motion, lap, ego, order, bodies, ways)
+    hardest_braking(reachable, stretch, motion, place, work)
     least_rest_positions(others, states, stretch, motion, order, bodies)
     for i in range(m):
-        nose = ways[0, 0]
-        front_of(i, states, stretch, motion, bodies, 0, 2, nose)
+        nose = ways[0, 0, :2]
+        front_of(i, reachable, stretch, motion, 0, nose)
         bodies.noses[0, i], bodies.noses[1, i] = nose[0], nose[1]
 
 
 def buffer_shape(m: int, frames: int) -> tuple[int, int, int]:
     """Shape of the buffer `ways` of `derive_tables`, for m vehicles and a number of coming frames."""
     return 7, max(frames, 3), max(frames, m, 2)
-
-
-class PreviousVehicles(NamedTuple):
-    """The others of the scene before, in the present order: vehicle rows (m, 7), road states (m, 4), tables."""
-
-    others: FloatArray
-    states: FloatArray
-    tables: Tables
 
 
 class OtherVehicles:
@@ -241,7 +245,7 @@ class OtherVehicles:
         road: Road,
         assumptions: Assumptions,
         dt: float = 1 / 15,
-        before: OtherVehicles | PreviousVehicles | None = None,
+        before: OtherVehicles | VehicleTables | None = None,
         ego: float = float("nan"),
     ) -> None:
         others, states = np.ascontiguousarray(others, float), np.ascontiguousarray(states, float)
@@ -249,22 +253,21 @@ class OtherVehicles:
         self.motion, self.settings = motion_settings(assumptions, self.dt)
         self.lap = float(getattr(road, "length", 0.0)) if getattr(road, "closed", False) else 0.0
         self.tables = Tables.empty(len(states), *horizons(self.dt))
-        centers, width, growth, self.stretch = road.centers, float(road.width), _NO_GROWTH, _STRAIGHT
+        tolerances = assumptions.marking_tolerance, assumptions.lateral_deviation
+        lanes = LaneMarkings(road.centers, float(road.width), *tolerances, self.dt)
+        growth, self.stretch = _NO_GROWTH, _STRAIGHT
         if road.bends is not None and len(states):
             growth, bends = np.array([road.bends.growth(*size) for size in others[:, _SIZE]]), road.bends
-            lanes = LaneMarkings(centers, width, assumptions.marking_tolerance, assumptions.lateral_deviation, self.dt)
             touched_lanes(others, states, growth, lanes, self.bodies)
             ends = bends.stretch(self.low), bends.stretch(self.high)
             self.stretch = np.stack([np.minimum(ends[0][0], ends[1][0]), np.maximum(ends[0][1], ends[1][1])])
-        last: tuple[FloatArray, FloatArray, FloatArray] = (_NOBODY, self.tables.numbers, self.tables.recent)
+        last = PreviousTables(_NOBODY, self.tables.numbers, self.tables.recent)
         if before is not None:
-            last = (before.states, before.tables.numbers, before.tables.recent)
-        scene = (others, states, growth, self.stretch, centers, width, self.settings, self.lap, float(ego))
-        marks, numbers, brakes, recent = self.tables
-        order = np.empty(len(states), np.intp)
-        derive_tables(
-            *scene, *last, marks, numbers, brakes, recent, order, np.empty(buffer_shape(len(states), brakes.shape[1]))
-        )
+            last = PreviousTables(before.states, before.tables.numbers, before.tables.recent)
+        vehicles, place = VehiclesOnRoad(others, states, growth, self.stretch), LapPosition(self.lap, float(ego))
+        ways = np.empty(buffer_shape(len(states), self.tables.brakes.shape[1]))
+        work = ReactionWork(np.empty(len(states), np.intp), ways)
+        derive_tables(vehicles, lanes, self.settings, place, last, self.tables, work)
 
     @cached_property
     def bodies(self) -> Bodies:
@@ -302,7 +305,8 @@ class OtherVehicles:
         """
         rows = np.arange(len(self.states)) if rows is None else rows
         out = np.empty((len(rows), frames))
-        rears(rows, self.others, self.states, self.stretch, self.motion, self.bodies, hold, out)
+        vehicles = VehicleBodies(self.others, self.states, self.bodies)
+        rears(rows, vehicles, self.stretch, self.motion, hold, out)
         return out
 
     def front(self, frames: int, hold: int = 0, rows: IntArray | None = None) -> FloatArray:
@@ -310,7 +314,8 @@ class OtherVehicles:
         `rows` only, if given."""
         rows = np.arange(len(self.states)) if rows is None else rows
         out = np.empty((len(rows), frames))
-        fronts(rows, self.states, self.stretch, self.motion, self.bodies, hold, out)
+        vehicles = VehicleBodies(self.others, self.states, self.bodies)
+        fronts(rows, vehicles, self.stretch, self.motion, hold, out)
         return out
 
     def occupancy(self, frames: int, hold: int = 0) -> Occupancy:

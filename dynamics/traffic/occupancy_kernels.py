@@ -12,7 +12,7 @@ import numpy as np
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.state import FloatArray, IntArray, Vehicle
-from dynamics.traffic.tables import Bodies, Motion
+from dynamics.traffic.tables import Bodies, Motion, VehicleBodies
 
 __all__ = [
     "LaneMarkings",
@@ -216,18 +216,8 @@ def least_rest_positions(
 
 
 @kernel_inline
-def rear_of(
-    j: int,
-    others: FloatArray,
-    states: FloatArray,
-    stretch: FloatArray,
-    motion: Motion,
-    bodies: Bodies,
-    hold: int,
-    frames: int,
-    out: FloatArray,
-) -> None:
-    """Least s of the body of vehicle `j` after 1..`frames` frames, `out` (frames or more,) [m], written.
+def rear_of(j: int, vehicles: VehicleBodies, stretch: FloatArray, motion: Motion, hold: int, out: FloatArray) -> None:
+    """Least s of the body of vehicle `j` after each frame, `out` (frames,) [m], written.
 
     Parameters
     ----------
@@ -235,6 +225,7 @@ def rear_of(
     hold : number of frames at constant speed that are expected before the worst case starts. If above 0, the result is
         a forecast and not a bound.
     """
+    others, states, bodies, frames = vehicles.rows, vehicles.states, vehicles.bodies, out.shape[0]
     dt, brakes, recent = motion.dt, bodies.brakes, bodies.recent
     budget, action, swing, reach = bodies.budget[j], bodies.action[j], bodies.swing[j], bodies.reach[j]
     v, wrecked = states[j, 3], others[j, _CRASHED] > 0
@@ -295,38 +286,23 @@ def least_next_position(j: int, states: FloatArray, stretch: FloatArray, motion:
 
 @kernel_no_refcount
 def rears(
-    rows: IntArray,
-    others: FloatArray,
-    states: FloatArray,
-    stretch: FloatArray,
-    motion: Motion,
-    bodies: Bodies,
-    hold: int,
-    out: FloatArray,
+    rows: IntArray, vehicles: VehicleBodies, stretch: FloatArray, motion: Motion, hold: int, out: FloatArray
 ) -> None:
     """`rear_of` the vehicles `rows` (n,) after each frame, `out` (n, K) [m], written. The last column bounds all later
     frames as well."""
-    frames = out.shape[1]
+    frames, bodies = out.shape[1], vehicles.bodies
     for n in range(rows.shape[0]):
         j = rows[n]
-        rear_of(j, others, states, stretch, motion, bodies, hold, frames, out[n])
+        rear_of(j, vehicles, stretch, motion, hold, out[n])
         if hold == 0 and frames > 0:
             out[n, frames - 1] = min(out[n, frames - 1], bodies.floor[j] - bodies.reach[j])
 
 
 @kernel_inline
-def front_of(
-    j: int,
-    states: FloatArray,
-    stretch: FloatArray,
-    motion: Motion,
-    bodies: Bodies,
-    hold: int,
-    frames: int,
-    out: FloatArray,
-) -> None:
-    """Greatest s of the body of vehicle `j` after 1..`frames` frames, `out` (frames or more,) [m], written; `stretch`
-    and `hold` as in `rear_of`."""
+def front_of(j: int, vehicles: VehicleBodies, stretch: FloatArray, motion: Motion, hold: int, out: FloatArray) -> None:
+    """Greatest s of the body of vehicle `j` after each frame, `out` (frames,) [m], written; `stretch` and `hold` as in
+    `rear_of`."""
+    states, bodies, frames = vehicles.states, vehicles.bodies, out.shape[0]
     dt, start = motion.dt, states[j, 0] + bodies.reach[j]
     v, way = states[j, 3], 0.0
     top, most = max(v, motion.max_speed), stretch[1, j] if stretch.shape[1] > 0 else 1.0
@@ -340,8 +316,8 @@ def front_of(
 
 @kernel_no_refcount
 def fronts(
-    rows: IntArray, states: FloatArray, stretch: FloatArray, motion: Motion, bodies: Bodies, hold: int, out: FloatArray
+    rows: IntArray, vehicles: VehicleBodies, stretch: FloatArray, motion: Motion, hold: int, out: FloatArray
 ) -> None:
     """`front_of` the vehicles `rows` (n,) after each frame, `out` (n, K) [m], written."""
     for n in range(rows.shape[0]):
-        front_of(rows[n], states, stretch, motion, bodies, hold, out.shape[1], out[n])
+        front_of(rows[n], vehicles, stretch, motion, hold, out[n])

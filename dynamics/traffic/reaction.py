@@ -24,9 +24,9 @@ from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.state import FloatArray, IntArray, Vehicle
 from dynamics.traffic.mobil import COMFORT, GAP, IMPOSED, TIME, TWICE_ROOT, desired_gap
 from dynamics.traffic.occupancy_kernels import apart
-from dynamics.traffic.tables import Bodies, Motion
+from dynamics.traffic.tables import Motion, VehicleBodies
 
-__all__ = ["hardest_braking"]
+__all__ = ["LapPosition", "ReactionWork", "hardest_braking"]
 
 _CRASHED = int(Vehicle.CRASHED)
 _FAR = 600.0
@@ -42,15 +42,39 @@ _LANE, _TOWARDS = 5.0, 14.0
 [m/s]."""
 
 
+class LapPosition(NamedTuple):
+    """Position of the ego along a road.
+
+    Attributes
+    ----------
+    lap : length of a closed road, 0 of an open one [m].
+    ego : position of the ego along the road [m], NaN without one. A vehicle behind it may brake at `Motion.braking`.
+    """
+
+    lap: float
+    ego: float
+
+
+class ReactionWork(NamedTuple):
+    """Buffers of `hardest_braking`.
+
+    Attributes
+    ----------
+    order : the vehicles in the order of `dynamics.traffic.occupancy.order_by_position`, (m,).
+    ways : overwritten, (7, K or 3, at least m and K).
+    """
+
+    order: IntArray
+    ways: FloatArray
+
+
 @kernel_no_refcount
 def _slowest(
     v: float,
     backwards: float,
     brakes: FloatArray,
-    wrecked: bool,
-    least: float,
-    most: float,
-    motion: Motion,
+    stretch: tuple[float, float],
+    dt: float,
     speeds: FloatArray,
     ways: FloatArray,
 ) -> None:
@@ -58,16 +82,15 @@ def _slowest(
 
     Parameters
     ----------
-    v : its speed [m/s]. backwards : least speed [m/s]. wrecked : whether it has crashed.
-    least, most : least and greatest metres of s in a metre driven.
+    v : its speed [m/s]. backwards : least speed [m/s].
+    stretch : least and greatest metres of s in a metre driven. dt : duration of a frame [s].
     speeds, ways : (K,) [m/s] and [m], written.
     """
-    way, dt = 0.0, motion.dt
+    way = 0.0
     for k in range(speeds.shape[0]):
-        speeds[k], ways[k] = v, min(way * least, way * most)
+        speeds[k], ways[k] = v, min(way * stretch[0], way * stretch[1])
         way += v * dt
-        # highway-env: a crashed vehicle brakes at -1 * speed per second.
-        v = max(min(v - brakes[k] * dt, v * (1 - dt) if wrecked else v), backwards)
+        v = max(min(v - brakes[k] * dt, v), backwards)
 
 
 @kernel_inline
@@ -129,30 +152,35 @@ def _surely_less(d: float, fast: float, slow: float, braking: float) -> bool:
     return d > 1.0 and wanted * wanted < (braking - _SLACK) * _PER_SCALE * (d * d) * (1 - _ROUNDING)
 
 
-@kernel_inline
-def _raise_braking(
-    i: int,
-    j: int,
-    ahead: float,
-    near: float,
-    first: int,
-    x: _Extremes,
-    motion: Motion,
-    brakes: FloatArray,
-    end: int,
-) -> int:
-    """Raise `brakes` (K,) of vehicle i to the braking that vehicle j may require.
+class _Pair(NamedTuple):
+    """A vehicle i and a vehicle j ahead of it.
 
-    Parameters
+    Attributes
     ----------
     ahead : distance from i to j [m]. near : the least distance, after what j may lose by turning [m].
     first : negative if j is in the lanes of i already; else the first frame at which it may move in.
+    """
+
+    i: int
+    j: int
+    ahead: float
+    near: float
+    first: int
+
+
+@kernel_inline
+def _raise_braking(pair: _Pair, x: _Extremes, motion: Motion, brakes: FloatArray, end: int) -> int:
+    """Raise `brakes` (K,) of vehicle i of a pair to the braking that vehicle j may require.
+
+    Parameters
+    ----------
     x : extremes of all vehicles. end : number of frames before i may brake at `Motion.braking` anyway.
 
     Returns
     -------
     The number of frames before i may brake at `Motion.braking`, at most `end`.
     """
+    i, j, ahead, near, first = pair.i, pair.j, pair.ahead, pair.near, pair.first
     back, begin = motion.loss_back * motion.dt, 0
     if first >= 0:
         begin = end
@@ -221,27 +249,16 @@ def _extremes(
 
 @kernel_no_refcount
 def hardest_braking(
-    others: FloatArray,
-    states: FloatArray,
-    stretch: FloatArray,
-    motion: Motion,
-    lap: float,
-    ego: float,
-    order: IntArray,
-    bodies: Bodies,
-    ways: FloatArray,
+    vehicles: VehicleBodies, stretch: FloatArray, motion: Motion, place: LapPosition, work: ReactionWork
 ) -> None:
-    """Fill in `brakes` of `bodies`, the hardest braking of each vehicle at each coming frame.
+    """Fill in `brakes` of the bodies, the hardest braking of each vehicle at each coming frame.
 
     Parameters
     ----------
-    others : vehicle rows (m, 7). states : road states (m, 4).
     stretch : least and greatest metres of s in a metre driven, (2, m); no columns on a straight road.
-    lap : length of a closed road, 0 of an open one [m].
-    ego : position of the ego along the road [m], NaN without one. A vehicle behind it may brake at `Motion.braking`.
-    order : the vehicles in the order of `dynamics.traffic.occupancy.order_by_position`, (m,).
-    ways : buffer, overwritten, (7, K or 3, at least m and K).
     """
+    others, states, bodies = vehicles.rows, vehicles.states, vehicles.bodies
+    lap, order, ways = place.lap, work.order, work.ways
     m, frames, last = states.shape[0], bodies.brakes.shape[1], bodies.brakes.shape[1] - 1
     curved, all_brakes, budget = stretch.shape[1] > 0, bodies.brakes, bodies.budget
     if not motion.calm < motion.braking:
@@ -258,7 +275,7 @@ def hardest_braking(
         furthest = max(furthest, gets[j]) if gets[j] == gets[j] else np.inf
     for n in range(m):
         i, end = order[n], frames
-        behind, brakes = ego - states[i, 0], all_brakes[i]
+        behind, brakes = place.ego - states[i, 0], all_brakes[i]
         if lap > 0:
             behind -= lap * np.rint(behind / lap)
         if behind > 0 or others[i, _CRASHED] > 0:
@@ -293,7 +310,7 @@ def hardest_braking(
             if apart(starts, ends, low, high, i, j):
                 first = max(int((abs(states[j, 1] - states[i, 1]) - _LANE) / (_TOWARDS * motion.dt)), 0)
             if first < end and (first >= 0 or ahead >= 0):
-                end = _raise_braking(i, j, ahead, near, first, x, motion, brakes, end)
+                end = _raise_braking(_Pair(i, j, ahead, near, first), x, motion, brakes, end)
                 if end == 1 and brakes[0] >= motion.braking:
                     break
         for k in range(end, frames):
@@ -301,4 +318,4 @@ def hardest_braking(
         # The vehicles behind take these speeds as those of their leader.
         v, shortest, longest = states[i, 3], stretch[0, i] if curved else 1.0, stretch[1, i] if curved else 1.0
         speeds, way = x.slow[:frames, i], x.slow_way[:frames, i]
-        _slowest(v, min(v, -motion.reversing), brakes, False, shortest, longest, motion, speeds, way)
+        _slowest(v, min(v, -motion.reversing), brakes, (shortest, longest), motion.dt, speeds, way)

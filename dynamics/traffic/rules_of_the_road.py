@@ -41,12 +41,13 @@ import numpy as np
 from dynamics.compiled import kernel_inline, kernel_no_refcount, row_as_tuple
 from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
 from dynamics.traffic.assumptions import Assumptions
-from dynamics.traffic.occupancy import OtherVehicles, PreviousVehicles
+from dynamics.traffic.occupancy import OtherVehicles
 from dynamics.traffic.occupancy_kernels import least_next_position
-from dynamics.traffic.tables import bodies_of, motion_of
+from dynamics.traffic.tables import VehicleTables, bodies_in, motion_of
 
 __all__ = [
     "EgoFootprint",
+    "MotionLimits",
     "RoadRule",
     "RuleViolations",
     "check_motions",
@@ -152,6 +153,20 @@ class _Limits(NamedTuple):
     frames: float
 
 
+class MotionLimits(NamedTuple):
+    """What `check_motions` compares a motion with.
+
+    Attributes
+    ----------
+    stretch : see `dynamics.traffic.occupancy_kernels.rear_of`. settings : the numbers of `Motion`.
+    row : the limits, of `limits_of`.
+    """
+
+    stretch: FloatArray
+    settings: FloatArray
+    row: FloatArray
+
+
 @kernel_no_refcount
 def gap_between(ego: EgoFootprint, along: float, across: float, rows: FloatArray, i: int, dt: float) -> float:
     """Greatest gap along the directions of the sides of two rectangles [m], see `dynamics.scenes.rectangles`, while
@@ -178,39 +193,25 @@ def gap_between(ego: EgoFootprint, along: float, across: float, rows: FloatArray
 
 @kernel_inline
 def check_motions(
-    rows0: FloatArray,
-    states0: FloatArray,
-    marks0: IntArray,
-    numbers0: FloatArray,
-    brakes0: FloatArray,
-    recent0: FloatArray,
-    rows: FloatArray,
-    states: FloatArray,
-    marks: IntArray,
-    numbers: FloatArray,
-    brakes: FloatArray,
-    recent: FloatArray,
-    stretch: FloatArray,
-    settings: FloatArray,
+    before: VehicleTables,
+    after: VehicleTables,
+    bounds: MotionLimits,
     behind: BoolArray,
     ego: EgoFootprint,
-    row: FloatArray,
-    broken: IntArray,
-    grown: IntArray,
+    found: RuleViolations,
 ) -> None:
-    """`rule_violations` as a kernel: fill in `broken` and `grown`, (m,).
+    """`rule_violations` as a kernel: fill in `found`.
 
     Parameters
     ----------
-    rows0, states0, marks0, numbers0, brakes0, recent0 : vehicle rows (m, 7), road states (m, 4) and `Tables` of the
-        scene before.
-    rows, states, marks, numbers, brakes, recent : the same of this scene.
-    stretch : see `dynamics.traffic.occupancy_kernels.rear_of`. settings : the numbers of `Motion`.
-    behind, ego : see `rule_violations`. row : the limits, of `limits_of`.
+    before, after : the vehicles in the scene before and in this scene, in the same order.
+    behind, ego : see `rule_violations`.
     """
-    limits, motion = _Limits(*row_as_tuple(row, 9)), motion_of(settings)
-    bodies0, bodies = bodies_of(marks0, numbers0, brakes0, recent0), bodies_of(marks, numbers, brakes, recent)
-    frames = int(limits.frames)
+    limits, motion = _Limits(*row_as_tuple(bounds.row, 9)), motion_of(bounds.settings)
+    rows0, states0, brakes0 = before.others, before.states, before.tables.brakes
+    rows, states, brakes, stretch = after.others, after.states, after.tables.brakes, bounds.stretch
+    bodies0, bodies = bodies_in(before).bodies, bodies_in(after).bodies
+    broken, grown, frames = found.broken, found.grown, int(limits.frames)
     low0, high0, floor0, low, high, floor = (
         bodies0.low,
         bodies0.high,
@@ -317,7 +318,7 @@ def footprint(ego: FloatArray, longitudinal: float, lateral: float, crashed: boo
 
 
 def rule_violations(
-    before: OtherVehicles | PreviousVehicles, after: OtherVehicles, period: float, behind: BoolArray, ego: EgoFootprint
+    before: OtherVehicles | VehicleTables, after: OtherVehicles, period: float, behind: BoolArray, ego: EgoFootprint
 ) -> RuleViolations:
     """Which rules the vehicles violated between two scenes, `period` seconds apart.
 
@@ -346,6 +347,7 @@ def rule_violations(
     limits = limits_of(after.assumptions, float(period), after.lap, max(round(period / after.dt), 1))
     m = len(after.states)
     found = RuleViolations(np.zeros(m, np.intp), np.zeros(m, np.intp))
-    old, new = (before.others, before.states, *before.tables), (after.others, after.states, *after.tables)
-    check_motions(*old, *new, after.stretch, after.settings, behind, ego, limits, *found)
+    old = VehicleTables(before.others, before.states, before.tables)
+    new = VehicleTables(after.others, after.states, after.tables)
+    check_motions(old, new, MotionLimits(after.stretch, after.settings, limits), behind, ego, found)
     return found

@@ -13,7 +13,7 @@ import numpy as np
 from dynamics.compiled import kernel_inline, row_as_tuple
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["Bodies", "Motion", "Tables", "bodies_of", "motion_of"]
+__all__ = ["Bodies", "Motion", "Tables", "VehicleBodies", "VehicleTables", "bodies_in", "bodies_of", "motion_of"]
 
 
 class Bodies(NamedTuple):
@@ -104,6 +104,22 @@ class Tables(NamedTuple):
         return cls(np.empty((3, m), np.intp), np.empty((9, m)), np.empty((m, coming)), np.zeros((m, past)))
 
 
+class VehicleTables(NamedTuple):
+    """The other vehicles of a scene as arrays: vehicle rows (m, 7), road states (m, 4), tables."""
+
+    others: FloatArray
+    states: FloatArray
+    tables: Tables
+
+
+class VehicleBodies(NamedTuple):
+    """The same inside a kernel: vehicle rows (m, 7), road states (m, 4), reachable places of the bodies."""
+
+    rows: FloatArray
+    states: FloatArray
+    bodies: Bodies
+
+
 @kernel_inline
 def bodies_of(marks: IntArray, numbers: FloatArray, brakes: FloatArray, recent: FloatArray) -> Bodies:
     """Name the rows of `Tables`."""
@@ -111,6 +127,14 @@ def bodies_of(marks: IntArray, numbers: FloatArray, brakes: FloatArray, recent: 
     low, high, reach, budget, action = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
     swing, floor, noses = numbers[5], numbers[6], numbers[7:9]
     return Bodies(lane, first, last, low, high, reach, budget, action, swing, brakes, recent, floor, noses)
+
+
+@kernel_inline
+def bodies_in(vehicles: VehicleTables) -> VehicleBodies:
+    """Name the rows of the tables of a scene."""
+    tables = vehicles.tables
+    bodies = bodies_of(tables.marks, tables.numbers, tables.brakes, tables.recent)
+    return VehicleBodies(vehicles.others, vehicles.states, bodies)
 
 
 @kernel_inline

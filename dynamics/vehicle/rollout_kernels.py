@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,8 @@ from dynamics.vehicle.controllers import KP_HEADING, KP_LATERAL, KP_SPEED, MAX_S
 
 __all__ = [
     "NO_LIMIT",
+    "StopTarget",
+    "StopTargets",
     "roll_brakes",
     "roll_commands",
     "roll_frame",
@@ -47,6 +49,38 @@ _NEAREST = 0.1
 """Least assumed distance from the centre of a bend, as a share of its radius."""
 _MOST_BEND = 0.7
 """Greatest sine of the slip angle commanded for a bend; the wheel's limit allows 0.65."""
+
+
+class StopTarget(NamedTuple):
+    """A target that is tracked, and the stop after it.
+
+    Attributes
+    ----------
+    goal, last_goal : lateral positions before and during braking [m]. speed : tracked before braking [m/s].
+    commit : number of frames before braking. braking : deceleration of the stop [m/s^2].
+    """
+
+    goal: float
+    last_goal: float
+    speed: float
+    commit: int
+    braking: float
+
+
+class StopTargets(NamedTuple):
+    """The same for n candidates.
+
+    Attributes
+    ----------
+    lanes, fails : target lane of each candidate before and during braking, (n,). speeds : target speeds, (n,) [m/s].
+    commit, braking : as in `StopTarget`.
+    """
+
+    lanes: IntArray
+    fails: IntArray
+    speeds: FloatArray
+    commit: int
+    braking: float
 
 
 def table_of(road: Any) -> FloatArray:
@@ -91,19 +125,17 @@ def _project(x: float, y: float, k: float) -> tuple[float, float]:
 
 @kernel_inline
 def roll_frame(
-    s: float,
-    r: float,
-    psi: float,
-    v: float,
-    sin: float,
-    cos: float,
+    state: tuple[float, float, float, float],
+    facing: tuple[float, float],
     a: float,
     slip: float,
     table: FloatArray,
     dt: float,
 ) -> tuple[float, float, float, float]:
-    """One simulation frame: `bicycle.slip_step`, and on a path the projection of `curved_bicycle`. `sin` and `cos` are
-    those of the heading `psi`."""
+    """One simulation frame: `bicycle.slip_step`, and on a path the projection of `curved_bicycle`. `facing` is sine and
+    cosine of the heading."""
+    s, r, psi, v = state
+    sin, cos = facing
     if v > MAX_SPEED:
         a = min(a, MAX_SPEED - v)
     if v < -MAX_SPEED:
@@ -161,10 +193,10 @@ def slip_at(s: float, r: float, psi: float, v: float, goal: float, table: FloatA
 
 @kernel_no_refcount
 def _step(
-    s: float, r: float, psi: float, v: float, a: float, slip: float, table: FloatArray, dt: float
+    state: tuple[float, float, float, float], a: float, slip: float, table: FloatArray, dt: float
 ) -> tuple[float, float, float, float]:
     """`roll_frame`, with sine and cosine computed from the heading."""
-    return roll_frame(s, r, psi, v, math.sin(psi), math.cos(psi), a, slip, table, dt)
+    return roll_frame(state, (math.sin(state[2]), math.cos(state[2])), a, slip, table, dt)
 
 
 @kernel_no_refcount
@@ -175,34 +207,24 @@ def roll_commands(start: FloatArray, commands: FloatArray, table: FloatArray, dt
         for f in range(commands.shape[1]):
             a = max(max(KP_SPEED * (commands[i, f, 1] - v), -commands[i, f, 2]), max(v, 0.0) * (-1 / dt))
             slip = slip_at(s, r, psi, v, commands[i, f, 0], table, dt)
-            s, r, psi, v = _step(s, r, psi, v, a, slip, table, dt)
+            s, r, psi, v = _step((s, r, psi, v), a, slip, table, dt)
             paths[i, f, 0], paths[i, f, 1], paths[i, f, 2], paths[i, f, 3] = s, r, psi, v
 
 
 @kernel_no_refcount
-def roll_stop(
-    start: FloatArray,
-    goal: float,
-    last_goal: float,
-    speed: float,
-    commit: int,
-    braking: float,
-    table: FloatArray,
-    dt: float,
-    path: FloatArray,
-) -> None:
+def roll_stop(start: FloatArray, target: StopTarget, table: FloatArray, dt: float, path: FloatArray) -> None:
     """Roll out a stop from a state (4,); `path` (frames, 4), states after each frame, written.
 
-    The vehicle tracks lateral position `goal` [m] and `speed` [m/s] for `commit` frames. Then it brakes to a stop at
-    `braking` [m/s^2] while it steers to `last_goal` [m].
+    The vehicle tracks the target for `commit` frames. Then it brakes to a stop while it steers to `last_goal`.
     """
+    goal, last_goal, speed, commit, braking = target
     s, r, psi, v = start[0], start[1], start[2], start[3]
     for f in range(path.shape[0]):
         to, a = goal, KP_SPEED * (speed - v)
         if f >= commit:
             to, a = last_goal, -braking
         slip = slip_at(s, r, psi, v, to, table, dt)
-        s, r, psi, v = _step(s, r, psi, v, max(a, max(v, 0.0) * (-1 / dt)), slip, table, dt)
+        s, r, psi, v = _step((s, r, psi, v), max(a, max(v, 0.0) * (-1 / dt)), slip, table, dt)
         path[f, 0], path[f, 1], path[f, 2], path[f, 3] = s, r, psi, v
 
 
@@ -210,11 +232,7 @@ def roll_stop(
 def roll_targets(
     start: FloatArray,
     centers: FloatArray,
-    lanes: IntArray,
-    fails: IntArray,
-    speeds: FloatArray,
-    commit: int,
-    braking: float,
+    targets: StopTargets,
     table: FloatArray,
     dt: float,
     paths: FloatArray,
@@ -224,11 +242,11 @@ def roll_targets(
     Parameters
     ----------
     start : road state, (4,). centers : of the lanes [m].
-    lanes, fails : target lane of each candidate before and during braking, (n,). speeds : target speeds, (n,) [m/s].
     """
+    lanes, fails, speeds = targets.lanes, targets.fails, targets.speeds
     for i in range(paths.shape[0]):
-        goals = centers[lanes[i]], centers[fails[i]]
-        roll_stop(start, goals[0], goals[1], speeds[i], commit, braking, table, dt, paths[i])
+        target = StopTarget(centers[lanes[i]], centers[fails[i]], speeds[i], targets.commit, targets.braking)
+        roll_stop(start, target, table, dt, paths[i])
 
 
 @kernel_no_refcount
@@ -252,7 +270,7 @@ def roll_brakes(
         for f in range(first, paths.shape[1]):
             a = max(-braking, max(v, 0.0) * (-1 / dt))
             slip = slip_at(s, r, psi, v, goals[i], table, dt)
-            s, r, psi, v = _step(s, r, psi, v, a, slip, table, dt)
+            s, r, psi, v = _step((s, r, psi, v), a, slip, table, dt)
             paths[i, f, 0], paths[i, f, 1], paths[i, f, 2], paths[i, f, 3] = s, r, psi, v
 
 
@@ -264,7 +282,7 @@ def roll_inputs(start: FloatArray, inputs: FloatArray, table: FloatArray, dt: fl
         for f in range(inputs.shape[1]):
             half = 0.5 * math.tan(inputs[i, f, 1])
             slip = half / math.sqrt(1 + half * half)
-            s, r, psi, v = _step(s, r, psi, v, inputs[i, f, 0], slip, table, dt)
+            s, r, psi, v = _step((s, r, psi, v), inputs[i, f, 0], slip, table, dt)
             paths[i, f, 0], paths[i, f, 1], paths[i, f, 2], paths[i, f, 3] = s, r, psi, v
 
 
@@ -283,5 +301,5 @@ def roll_stops(
             if f % hold == 0:
                 a = -min(stops[i, 1], max(v, 0.0) / (hold * dt))
                 slip = min(max(slip_at(s, r, psi, v, stops[i, 0], table, dt), -limit), limit)
-            s, r, psi, v = _step(s, r, psi, v, a, slip, table, dt)
+            s, r, psi, v = _step((s, r, psi, v), a, slip, table, dt)
             paths[i, f, 0], paths[i, f, 1], paths[i, f, 2], paths[i, f, 3] = s, r, psi, v

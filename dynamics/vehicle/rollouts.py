@@ -15,14 +15,20 @@ along the road, and the steering uses its curvature.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from dynamics.roads.path import PathRoad
 from dynamics.roads.straight import StraightRoad
 from dynamics.state import FloatArray
-from dynamics.vehicle.rollout_kernels import NO_LIMIT, roll_brakes, roll_commands, roll_inputs, roll_targets, table_of
+from dynamics.vehicle.rollout_kernels import (
+    NO_LIMIT,
+    StopTargets,
+    roll_brakes,
+    roll_commands,
+    roll_inputs,
+    roll_targets,
+    table_of,
+)
 
 __all__ = ["BRAKE", "NO_LIMIT", "Rollouts"]
 
@@ -60,34 +66,21 @@ class Rollouts:
         roll_commands(self._starts(state, n), np.ascontiguousarray(commands, float), self._table, self.dt, paths)
         return paths
 
-    def run_brakes(
-        self,
-        state: FloatArray,
-        centers: FloatArray,
-        lanes: Any,
-        fails: Any,
-        speeds: FloatArray,
-        commit: int,
-        frames: int,
-        braking: float,
-    ) -> FloatArray:
+    def run_brakes(self, state: FloatArray, centers: FloatArray, targets: StopTargets, frames: int) -> FloatArray:
         """Track lanes and speeds for some frames, and then brake to a stop.
 
         Parameters
         ----------
         state : road state, shape (4,).
-        centers : of the lanes [m].
-        lanes, fails : target lane of each path before and during braking, (n,).
-        speeds : target speed of each path before braking, (n,) [m/s].
-        commit, frames : number of frames before braking, and in total.
-        braking : deceleration afterwards [m/s^2].
+        centers : of the lanes [m]. targets : of the n paths.
+        frames : number of frames in total.
 
         Returns
         -------
         Road states after each frame, shape (n, frames, 4).
         """
-        paths = np.empty((len(speeds), frames, 4))
-        roll_targets(state, centers, lanes, fails, speeds, commit, braking, self._table, self.dt, paths)
+        paths = np.empty((len(targets.speeds), frames, 4))
+        roll_targets(state, centers, targets, self._table, self.dt, paths)
         return paths
 
     def run_inputs(self, state: FloatArray, inputs: FloatArray) -> FloatArray:

@@ -21,16 +21,21 @@ from dynamics.traffic.tables import bodies_of, motion_of
 from dynamics.vehicle.bicycle import MAX_SPEED
 from shield.batch.parameters import NO_INDEX, BatchParameters
 from shield.certificate.road.clauses.footprint import Footprint
+from shield.certificate.road.clauses.inputs import LaneState
 from shield.certificate.road.clauses.others import RoadVehicles, vehicles_from
-from shield.certificate.road.clauses.parameters import ClauseSettings, settings_from
-from shield.certificate.road.clauses.workspace import ClauseWorkspace, LaneState, SceneVehicles, new_clause_workspace
+from shield.certificate.road.clauses.parameters import settings_from
+from shield.certificate.road.clauses.workspace import (
+    ClauseScene,
+    ClauseWorkspace,
+    SceneVehicles,
+    new_clause_workspace,
+)
 
 __all__ = [
     "BatchCandidates",
     "BatchMemory",
     "BatchPointers",
     "BatchRecords",
-    "BatchScene",
     "BatchWorkspace",
     "empty_memory",
     "empty_records",
@@ -175,20 +180,8 @@ class BatchPointers(NamedTuple):
     records: Pointer[BatchRecords]
 
 
-class BatchScene(NamedTuple):
-    """One scene as the clauses read it."""
-
-    ego: FloatArray
-    state: FloatArray
-    around: SceneVehicles
-    ground: LaneState
-    slipping: FloatArray
-    foot: Footprint
-    settings: ClauseSettings
-
-
 @kernel_inline
-def scene_of(shields: BatchMemory, law: BatchParameters, e: int) -> BatchScene:
+def scene_of(shields: BatchMemory, law: BatchParameters, e: int) -> ClauseScene:
     """The last observed scene of one environment."""
     now = shields.now[e]
     marks, numbers, brakes = shields.marks[e, now], shields.numbers[e, now], shields.brakes[e, now]
@@ -199,14 +192,14 @@ def scene_of(shields: BatchMemory, law: BatchParameters, e: int) -> BatchScene:
     ground = LaneState(law.centers, shields.owned[e], shields.visible[e])
     slipping = shields.slipping[e, : shields.slips[e]]
     foot, settings = Footprint(*row_as_tuple(law.size, 8)), settings_from(law.settings)
-    return BatchScene(shields.ego[e], shields.state[e], around, ground, slipping, foot, settings)
+    return ClauseScene(shields.state[e], around, ground, slipping, foot, settings, law.table)
 
 
 @kernel_inline
-def without_precautions(scene: BatchScene) -> BatchScene:
+def without_precautions(scene: ClauseScene) -> ClauseScene:
     """The same without precautions, see `shield.certificate.road.verify.PathVerifier.without_cut_ins`."""
     none = scene.slipping[:0]
-    return BatchScene(scene.ego, scene.state, scene.around, scene.ground, none, scene.foot, scene.settings)
+    return ClauseScene(scene.state, scene.around, scene.ground, none, scene.foot, scene.settings, scene.table)
 
 
 def empty_memory(e: int, m: int, law: BatchParameters) -> BatchMemory:

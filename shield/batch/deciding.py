@@ -12,7 +12,7 @@ from dynamics.pass_by_pointer import Pointer, address_of, dereference
 from dynamics.roads.straight import nearest
 from dynamics.state import FloatArray, IntArray
 from shield.alternatives.preference import CLEAR, GAIN, IN_LANE, RELATIVE_SPEED_WEIGHT
-from shield.batch.arrays import BatchMemory, BatchPointers, BatchRecords, BatchScene, BatchWorkspace, scene_of
+from shield.batch.arrays import BatchMemory, BatchPointers, BatchRecords, BatchWorkspace, scene_of
 from shield.batch.codes import REASONS, TIERS
 from shield.batch.observing import observe
 from shield.batch.parameters import NO_INDEX, BatchParameters
@@ -20,10 +20,11 @@ from shield.batch.repairing import fail_lanes, held_back, hold_back
 from shield.batch.supervising import clear_violators, judge_stored, violated
 from shield.batch.verifying import frames_of, verify
 from shield.certificate.road.clauses.all_clauses import NOTHING_BINDS
+from shield.certificate.road.clauses.workspace import ClauseScene
 from shield.certificate.road.verify import ROUNDING
 from shield.decision import Reason, Tier
 from shield.pipelines.frames import CAPS
-from shield.rule_kernels import alongside, time_is_short, violates_rss
+from shield.rule_kernels import RuleScene, alongside, time_is_short, violates_rss
 
 __all__ = ["decide", "is_blocked_alongside", "target_of", "verifies"]
 
@@ -51,23 +52,28 @@ def target_of(worlds: Worlds, law: BatchParameters, e: int, action: int) -> tupl
 
 
 @kernel_inline
-def is_blocked_alongside(shields: BatchMemory, law: BatchParameters, e: int, lane: int) -> bool:
-    """Whether a vehicle alongside forbids that lane."""
+def _rule_scene(shields: BatchMemory, law: BatchParameters, e: int) -> RuleScene:
+    """The last observed scene of one environment, as the rules read it."""
     now = shields.now[e]
     rows, states = shields.rows[e, now], shields.states[e, now]
-    return alongside(shields.ego[e], shields.state[e], rows, states, law.centers, lane, law.numbers.longitudinal)
+    return RuleScene(shields.ego[e], shields.state[e], rows, states, law.centers, law.numbers.width)
+
+
+@kernel_inline
+def is_blocked_alongside(shields: BatchMemory, law: BatchParameters, e: int, lane: int) -> bool:
+    """Whether a vehicle alongside forbids that lane."""
+    return alongside(_rule_scene(shields, law, e), lane, law.numbers.longitudinal)
 
 
 @kernel_inline
 def _why(shields: BatchMemory, law: BatchParameters, e: int, lane: int, speed: float) -> int:
     """Recorded reason for a target that did not verify."""
-    now, x = shields.now[e], law.numbers
-    rows, states, ego, state = shields.rows[e, now], shields.states[e, now], shields.ego[e], shields.state[e]
+    scene, x = _rule_scene(shields, law, e), law.numbers
     braking = (x.braking, x.leader_braking, x.follower_braking)
     response, more = (x.response, x.reaction), x.follower_acceleration
-    if violates_rss(ego, state, rows, states, law.centers, x.width, lane, speed, braking, response, more):
+    if violates_rss(scene, lane, speed, braking, response, more):
         return _RSS
-    if time_is_short(ego, state, rows, states, law.centers, x.width, lane, speed, x.ttc):
+    if time_is_short(scene, lane, speed, x.ttc):
         return _TTC
     return _UNVERIFIED
 
@@ -123,29 +129,28 @@ def _default_order(
 @kernel_no_refcount
 def verifies(
     bench: BatchPointers,
-    scene: Pointer[BatchScene],
+    scene: Pointer[ClauseScene],
     e: int,
-    lane: int,
-    speed: float,
+    target: tuple[int, float],
     frames: int,
     lasting: int,
     found: FloatArray,
 ) -> bool:
-    """Whether a target verifies, for the first lane to stop in for which it does. Its margin, that lane, the clause and
-    the vehicle are written to `found`, (4,).
+    """Whether a target lane and speed verify, for the first lane to stop in for which they do. The margin, that lane,
+    the clause and the vehicle are written to `found`, (4,).
 
     With `lasting` frames, a target is refused if it is expected to need an acceleration cap within the decision.
     """
-    law, room = dereference(bench.law), dereference(bench.room)
+    law, room, lane, speed = dereference(bench.law), dereference(bench.room), target[0], target[1]
     plans, fails, x = room.plans, room.marks[2], law.numbers
     n = fail_lanes(dereference(bench.shields), law, e, lane, fails)
     for i in range(n):
         plans.lanes[0], plans.fails[0], plans.speeds[0] = lane, fails[i], speed
-        if verify(bench, scene, x.one, x.one, frames, x.none, room.nobody, x.one) == NO_INDEX:
+        if verify(bench, scene, x.one, (x.one, frames), x.none, room.nobody, x.one) == NO_INDEX:
             continue
         found[0], found[1], found[2], found[3] = plans.margins[0], fails[i], plans.clauses[0], plans.vehicles[0]
         if lasting > 0:
-            if verify(bench, scene, x.one, x.period, lasting, x.period, room.nobody, x.one) == NO_INDEX:
+            if verify(bench, scene, x.one, (x.period, lasting), x.period, room.nobody, x.one) == NO_INDEX:
                 continue
             if plans.margins[0] < found[0]:
                 found[0], found[2], found[3] = plans.margins[0], plans.clauses[0], plans.vehicles[0]
@@ -176,7 +181,7 @@ def _speeds(law: BatchParameters, v: float, label: int, speed: float, room: Batc
 @kernel_no_refcount
 def _first_action(
     bench: BatchPointers,
-    scene: Pointer[BatchScene],
+    scene: Pointer[ClauseScene],
     e: int,
     actions: IntArray,
     count: int,
@@ -204,7 +209,8 @@ def _first_action(
             continue
         n = _speeds(law, v, law.labels[a], wanted[a], room)
         for i in range(n):
-            if verifies(bench, scene, e, lane, tried[i], frames, lasting, one) and (not best or one[0] > found[0]):
+            works = verifies(bench, scene, e, (lane, tried[i]), frames, lasting, one)
+            if works and (not best or one[0] > found[0]):
                 best = True
                 for c in range(4):
                     found[c] = one[c]
@@ -242,19 +248,11 @@ def _give_up(shields: BatchMemory, law: BatchParameters, records: BatchRecords, 
 
 
 @kernel_inline
-def _alternatives(
-    shields: BatchMemory,
-    law: BatchParameters,
-    worlds: Worlds,
-    e: int,
-    proposed: int,
-    order: IntArray,
-    changes: bool,
-    room: BatchWorkspace,
-    out: IntArray,
-) -> int:
+def _alternatives(bench: BatchPointers, e: int, proposed: int, order: IntArray, changes: bool, out: IntArray) -> int:
     """Fill in the alternatives to the proposal: in the policy's order, or in the documented one. Return their
     number."""
+    shields, law, worlds = dereference(bench.shields), dereference(bench.law), dereference(bench.worlds)
+    room = dereference(bench.room)
     lanes, wanted, ordered, n, kept = room.marks[5], room.numbers[0], room.marks[3], 0, 0
     if order.shape[0] > 0 and order[0] >= 0:
         while n < order.shape[0] and order[n] >= 0:
@@ -308,7 +306,7 @@ def decide(bench: BatchPointers, e: int, proposed: int, order: IntArray) -> None
         # The frames can cap the acceleration of a longitudinal proposal. A lane change should verify for the whole
         # decision.
         lasting = frames_of(law, v, speed, numbers.period) if changes else 0
-        if verifies(bench, scene, e, lane, speed, frames_of(law, v, speed, numbers.one), lasting, found):
+        if verifies(bench, scene, e, (lane, speed), frames_of(law, v, speed, numbers.one), lasting, found):
             _keep(shields, records, e, _PASSED, _NONE, proposed, found)
             return
         reason = _why(shields, law, e, lane, speed)
@@ -318,7 +316,7 @@ def decide(bench: BatchPointers, e: int, proposed: int, order: IntArray) -> None
         if _first_action(bench, scene, e, actions, numbers.one, numbers.one, found) != NO_INDEX:
             _keep(shields, records, e, _GOVERNED, reason, proposed, found)
             return
-    n = _alternatives(shields, law, worlds, e, proposed, order, changes, room, actions)
+    n = _alternatives(bench, e, proposed, order, changes, actions)
     executed = _first_action(bench, scene, e, actions, n, numbers.one, found)
     if executed != NO_INDEX:
         _keep(shields, records, e, _ALTERNATIVE, reason, executed, found)

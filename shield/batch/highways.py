@@ -8,7 +8,7 @@ import numpy as np
 from highway_env.road.road import RoadNetwork
 
 from dynamics.highway_simulator.layout import LENGTH, WIDTH
-from dynamics.highway_simulator.step_kernels import Worlds
+from dynamics.highway_simulator.step_kernels import Simulation, Worlds
 from dynamics.roads.straight import StraightRoad
 from dynamics.state import BoolArray, IntArray
 from shield.batch.arrays import BatchMemory, empty_memory, new_batch_workspace
@@ -16,7 +16,7 @@ from shield.batch.filtered import FilteredHighways
 from shield.batch.masking import mask_all
 from shield.batch.observing import reset_memory
 from shield.batch.parameters import BatchParameters, batch_parameters_of
-from shield.batch.step_kernels import step_all_shielded
+from shield.batch.step_kernels import BatchPart, DecisionInputs, FrameRecords, ShieldArrays, step_all_shielded
 from shield.config import ShieldConfig
 from shield.pipelines.frames import ACCELERATIONS
 from shield.supported_environments import refuse_simulated, require
@@ -80,27 +80,15 @@ class ShieldedHighways(FilteredHighways):
     def _decide(self, part: int, first: int, last: int, actions: IntArray, orders: IntArray, again: bool) -> None:
         simulator, (work, room, given) = self.simulator, self._rooms[part]
         scenario = simulator.scenario
-        step_all_shielded(
-            simulator.machine,
-            simulator.worlds,
-            scenario.rules,
-            scenario.view,
-            work,
-            simulator.flat,
-            self.shields,
-            self.law,
-            room,
-            self.records,
-            actions,
-            orders,
-            given,
-            self.rows,
-            self.off_road,
-            first,
-            last,
-            again,
-            self._frequency,
+        simulation = Simulation(
+            simulator.machine, simulator.worlds, scenario.rules, scenario.view, work, simulator.flat
         )
+        shield, inputs = (
+            ShieldArrays(self.shields, self.law, room, self.records),
+            DecisionInputs(actions, orders, given),
+        )
+        frames, which = FrameRecords(self.rows, self.off_road), BatchPart(first, last, again)
+        step_all_shielded(simulation, shield, inputs, frames, which, self._frequency)
 
     def _mask(self, part: int, first: int, last: int, masks: BoolArray) -> None:
         # An observation changes the memory, for example the count of violations. So the mask works on a copy.

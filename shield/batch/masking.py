@@ -46,7 +46,7 @@ def _mask(bench: BatchPointers, e: int, mask: BoolArray) -> None:
         lasting = frames_of(law, v, most, law.numbers.period) if changes else 0
         for a in range(mask.shape[0]):
             if mask[a] and (lanes[a] != here) == changes:
-                mask[a] = verifies(bench, scene, e, lanes[a], wanted[a], frames, lasting, found)
+                mask[a] = verifies(bench, scene, e, (lanes[a], wanted[a]), frames, lasting, found)
 
 
 @kernel_no_refcount

@@ -10,18 +10,21 @@ from dynamics.highway_simulator.layout import TARGET_SPEED
 from dynamics.highway_simulator.step_kernels import Worlds, write_row
 from dynamics.pass_by_pointer import address_of, dereference
 from dynamics.roads.straight import nearest
-from dynamics.state import FloatArray
-from dynamics.traffic.occupancy import derive_tables
-from dynamics.traffic.rules_of_the_road import EgoFootprint, RoadRule, check_motions
-from dynamics.traffic.tables import bodies_of
+from dynamics.state import BoolArray, FloatArray, IntArray
+from dynamics.traffic.occupancy import PreviousTables, VehiclesOnRoad, derive_tables
+from dynamics.traffic.occupancy_kernels import LaneMarkings
+from dynamics.traffic.reaction import LapPosition, ReactionWork
+from dynamics.traffic.rules_of_the_road import EgoFootprint, MotionLimits, RoadRule, RuleViolations, check_motions
+from dynamics.traffic.tables import Tables, VehicleTables, bodies_of
 from dynamics.vehicle.controllers import KP_SPEED
 from shield.batch.arrays import BatchMemory, BatchPointers, BatchWorkspace, scene_of
 from shield.batch.parameters import NO_INDEX, BatchParameters
 from shield.batch.verifying import frames_of, verify
 from shield.certificate.road.clauses.followers import mark_relied_on, update_lanes
 from shield.certificate.road.clauses.footprint import Footprint
-from shield.certificate.road.clauses.others import TOUCH, vehicles_from
-from shield.certificate.road.clauses.scene import prepare_scene
+from shield.certificate.road.clauses.inputs import EarlierVehicles, EgoArrays, LaneDistances, LaneState
+from shield.certificate.road.clauses.others import TOUCH, VehicleBuffers, vehicles_from
+from shield.certificate.road.clauses.scene import SceneBuffers, prepare_scene
 from shield.certificate.road.monitor import mark_touching, update_obligations
 
 __all__ = ["observe", "reset_memory", "set_stop_candidate"]
@@ -56,156 +59,111 @@ def set_stop_candidate(shields: BatchMemory, law: BatchParameters, e: int, lane:
     return frames_of(law, v, plans.speeds[0], numbers.one)
 
 
-@kernel_no_refcount
-def observe(bench: BatchPointers, e: int) -> bool:
-    """Observe the scene of one environment, once a frame. Return False, and change nothing, if it is not finite."""
-    shields, law, worlds, room = (
-        dereference(bench.shields),
-        dereference(bench.law),
-        dereference(bench.worlds),
-        dereference(bench.room),
+@kernel_inline
+def _tables(shields: BatchMemory, e: int, scene: int) -> VehicleTables:
+    """The other vehicles in one of the two scenes that are kept."""
+    tables = Tables(
+        shields.marks[e, scene], shields.numbers[e, scene], shields.brakes[e, scene], shields.recent[e, scene]
     )
-    if shields.frame[e] == shields.clock[e]:
-        return True
-    old = shields.now[e]
-    new, first = 1 - old, shields.frame[e] == NO_INDEX
-    rows, states, ego, state = shields.rows[e, new], shields.states[e, new], shields.ego[e], shields.state[e]
-    m, lanes, numbers, centers = rows.shape[0], law.centers.shape[0], law.numbers, law.centers
-    finite = math.isfinite(worlds.f[e, TARGET_SPEED, 0]) and _row(worlds, e, 0, ego, state)
-    for i in range(m):
-        finite = _row(worlds, e, i + 1, rows[i], states[i]) and finite
-    if not finite:
-        return False
+    return VehicleTables(shields.rows[e, scene], shields.states[e, scene], tables)
+
+
+@kernel_inline
+def _read(worlds: Worlds, e: int, shields: BatchMemory, after: VehicleTables) -> bool:
+    """Write the bodies of one environment to its memory. Return whether the scene is finite."""
+    finite = math.isfinite(worlds.f[e, TARGET_SPEED, 0]) and _row(worlds, e, 0, shields.ego[e], shields.state[e])
+    for i in range(after.others.shape[0]):
+        finite = _row(worlds, e, i + 1, after.others[i], after.states[i]) and finite
+    return finite
+
+
+@kernel_inline
+def _prepare(
+    shields: BatchMemory,
+    law: BatchParameters,
+    e: int,
+    room: BatchWorkspace,
+    before: VehicleTables,
+    after: VehicleTables,
+) -> None:
+    """Prepare the new scene: the lanes that the ego owns, the tables of the vehicles, and what the clauses read."""
+    old, new, first = shields.now[e], 1 - shields.now[e], shields.frame[e] == NO_INDEX
+    ego, state, m, lanes, numbers = (
+        shields.ego[e],
+        shields.state[e],
+        after.others.shape[0],
+        law.centers.shape[0],
+        law.numbers,
+    )
     known = 0 if first else m
-    marks, tables, brakes, recent = (
-        shields.marks[e, new],
-        shields.numbers[e, new],
-        shields.brakes[e, new],
-        shields.recent[e, new],
-    )
-    rows0, states0, tables0, recent0 = (
-        shields.rows[e, old],
-        shields.states[e, old],
-        shields.numbers[e, old],
-        shields.recent[e, old],
-    )
     # The lanes that the ego owns, and the vehicles that may enter each lane.
     coming = shields.flags[e, old, 2 + lanes : 2 + lanes if first else 2 + 2 * lanes]
     half = 0.5 * (ego[4] * abs(math.sin(state[2])) + ego[5] * abs(math.cos(state[2])))
-    touch, leave = TOUCH + half, 0.5 * numbers.width + half
-    visible, owned, stored = shields.visible[e], shields.owned[e], shields.stored[e]
-    update_lanes(
-        state[1], centers, 1, law.settings[0], touch, leave, stored, first, visible, owned, shields.owing[e], coming
-    )
-    derive_tables(
-        rows,
-        states,
-        law.growth,
-        law.stretch,
-        centers,
-        numbers.width,
-        law.motion,
-        0.0,
-        state[0],
-        states0[:known],
-        tables0,
-        recent0,
-        marks,
-        tables,
-        brakes,
-        recent,
-        room.order,
-        room.ways,
-    )
-    flags = shields.flags[e, new]
-    shields.slips[e] = prepare_scene(
-        rows,
-        states,
-        marks,
-        tables,
-        brakes,
-        recent,
-        ego,
-        state,
-        law.size,
-        centers,
-        law.settings,
-        owned,
-        visible,
-        (stored, NO_INDEX),
-        shields.owing[e, :known],
-        coming,
-        shields.of_others[e],
-        flags,
-        shields.slipping[e],
-        room.tempted,
-    )
+    near = LaneDistances(law.settings[0], TOUCH + half, 0.5 * numbers.width + half)
+    ground, stored = LaneState(law.centers, shields.owned[e], shields.visible[e]), shields.stored[e]
+    update_lanes(state[1], 1, near, (stored, first), ground, shields.owing[e], coming)
+    motion = law.motion
+    markings = LaneMarkings(law.centers, numbers.width, motion[17], motion[18], motion[16])
+    vehicles = VehiclesOnRoad(after.others, after.states, law.growth, law.stretch)
+    last = PreviousTables(before.states[:known], before.tables.numbers, before.tables.recent)
+    work, place = ReactionWork(room.order, room.ways), LapPosition(0.0, state[0])
+    derive_tables(vehicles, markings, motion, place, last, after.tables, work)
+    out = SceneBuffers(VehicleBuffers(shields.of_others[e], shields.flags[e, new]), shields.slipping[e], room.tempted)
+    earlier, row = EarlierVehicles(shields.owing[e, :known], coming), EgoArrays(ego, state, law.size)
+    shields.slips[e] = prepare_scene(after, row, ground, law.settings, (stored, NO_INDEX), earlier, out)
     shields.now[e], shields.frame[e] = new, shields.clock[e]
     room.desk.swept[0], room.suspect[0] = 0, NO_INDEX
     for j in range(m):
         room.desk.done[0, j] = room.desk.done[1, j] = 0
-    crashed = ego[6] > 0
-    if first:
-        for i in range(m):
-            shields.owing[e, i] = flags[0, i] and flags[1, i]
-            shields.breaking[e, i] = shields.offenders[e, i] = False
-        shields.crashed[e] = crashed
-        return True
+
+
+@kernel_inline
+def _world(shields: BatchMemory, law: BatchParameters, e: int) -> EgoFootprint:
+    """The ego of one environment in the world frame."""
+    ego, numbers, crashed = shields.ego[e], law.numbers, shields.ego[e, 6] > 0
     along, across = 0.5 * ego[4], 0.5 * ego[5]
-    world = EgoFootprint(
-        ego[0],
-        ego[1],
-        ego[2],
-        ego[3],
-        along + numbers.longitudinal,
-        across + numbers.lateral,
-        along,
-        across,
-        crashed and not shields.crashed[e],
-        crashed,
-    )
-    broken, grown, owing = room.marks[0, :m], room.marks[1, :m], room.flags[0]
-    check_motions(
-        rows0,
-        states0,
-        shields.marks[e, old],
-        tables0,
-        shields.brakes[e, old],
-        recent0,
-        rows,
-        states,
-        marks,
-        tables,
-        brakes,
-        recent,
-        law.stretch,
-        law.motion,
-        shields.owing[e],
-        world,
-        law.limits,
-        broken,
-        grown,
-    )
-    counted, flags0 = room.flags[1], shields.flags[e, old]
-    for i in range(m):
+    longitudinal, lateral = along + numbers.longitudinal, across + numbers.lateral
+    new = crashed and not shields.crashed[e]
+    return EgoFootprint(ego[0], ego[1], ego[2], ego[3], longitudinal, lateral, along, across, new, crashed)
+
+
+@kernel_inline
+def _mark_relied_on(
+    shields: BatchMemory, law: BatchParameters, e: int, after: VehicleTables, counted: BoolArray
+) -> None:
+    """`mark_relied_on` in one environment, after `_prepare`."""
+    for i in range(counted.shape[0]):
         counted[i] = False
-    if stored != NO_INDEX:
-        others = vehicles_from(bodies_of(marks, tables, brakes, recent), shields.of_others[e], flags)
-        foot, plan, followers = Footprint(*row_as_tuple(law.size, 8)), (stored, NO_INDEX), (flags0[0], flags0[1])
-        mark_relied_on(others, state, foot, centers, plan, owned, followers, counted)
-    some, more = update_obligations(shields.owing[e], counted, flags[0], flags[1], broken, grown, owing)
-    if more:
-        # A vehicle that takes more room than before has to leave the ego's fail-safe its room.
-        some = mark_touching(world, rows, numbers.dt, grown, broken) or some
-        frames = set_stop_candidate(shields, law, e, nearest(centers, state[1]) if stored == NO_INDEX else stored, room)
-        scene, one, none = address_of(scene_of(shields, law, e)), numbers.one, numbers.none
-        verify(bench, scene, one, one, frames, none, room.nobody, none)
-        for n in range(room.desk.found[0]):
-            j = room.desk.near[n]
-            if room.desk.apart[n] < 0:
-                broken[j] |= grown[j]
-                some = some or broken[j] != 0
-    for i in range(m):
+    if shields.stored[e] == NO_INDEX:
+        return
+    tables, flags, flags0 = after.tables, shields.flags[e, shields.now[e]], shields.flags[e, 1 - shields.now[e]]
+    bodies = bodies_of(tables.marks, tables.numbers, tables.brakes, tables.recent)
+    others, foot = vehicles_from(bodies, shields.of_others[e], flags), Footprint(*row_as_tuple(law.size, 8))
+    lanes, plan = LaneState(law.centers, shields.owned[e], shields.visible[e]), (shields.stored[e], NO_INDEX)
+    mark_relied_on(others, shields.state[e], foot, lanes, plan, (flags0[0], flags0[1]), counted)
+
+
+@kernel_inline
+def _judge_growth(bench: BatchPointers, e: int, broken: IntArray, grown: IntArray) -> bool:
+    """Add `grown` to `broken` where the fail-safe loses its room. Return whether there is any such vehicle."""
+    shields, law, room = dereference(bench.shields), dereference(bench.law), dereference(bench.room)
+    stored, some = shields.stored[e], False
+    lane = nearest(law.centers, shields.state[e, 1]) if stored == NO_INDEX else stored
+    frames = set_stop_candidate(shields, law, e, lane, room)
+    scene, one, none = address_of(scene_of(shields, law, e)), law.numbers.one, law.numbers.none
+    verify(bench, scene, one, (one, frames), none, room.nobody, none)
+    for n in range(room.desk.found[0]):
+        j = room.desk.near[n]
+        if room.desk.apart[n] < 0:
+            broken[j] |= grown[j]
+            some = some or broken[j] != 0
+    return some
+
+
+@kernel_inline
+def _count(shields: BatchMemory, e: int, owing: BoolArray, broken: IntArray, some: bool) -> None:
+    """Store the distance obligations, and count the violations. With `some`, there are new ones or ones that last."""
+    for i in range(broken.shape[0]):
         shields.owing[e, i] = owing[i]
         if some and broken[i] != 0:
             if not shields.breaking[e, i]:
@@ -215,5 +173,35 @@ def observe(bench: BatchPointers, e: int) -> bool:
                         shields.by_rule[e, k] += 1
             shields.offenders[e, i] = True
         shields.breaking[e, i] = broken[i] != 0
+
+
+@kernel_no_refcount
+def observe(bench: BatchPointers, e: int) -> bool:
+    """Observe the scene of one environment, once a frame. Return False, and change nothing, if it is not finite."""
+    shields, law, room = dereference(bench.shields), dereference(bench.law), dereference(bench.room)
+    if shields.frame[e] == shields.clock[e]:
+        return True
+    old, first = shields.now[e], shields.frame[e] == NO_INDEX
+    before, after = _tables(shields, e, old), _tables(shields, e, 1 - old)
+    if not _read(dereference(bench.worlds), e, shields, after):
+        return False
+    _prepare(shields, law, e, room, before, after)
+    m, flags, crashed = after.others.shape[0], shields.flags[e, 1 - old], shields.ego[e, 6] > 0
+    if first:
+        for i in range(m):
+            shields.owing[e, i] = flags[0, i] and flags[1, i]
+            shields.breaking[e, i] = shields.offenders[e, i] = False
+        shields.crashed[e] = crashed
+        return True
+    world, limits = _world(shields, law, e), MotionLimits(law.stretch, law.motion, law.limits)
+    broken, grown, owing, counted = room.marks[0, :m], room.marks[1, :m], room.flags[0], room.flags[1]
+    check_motions(before, after, limits, shields.owing[e], world, RuleViolations(broken, grown))
+    _mark_relied_on(shields, law, e, after, counted)
+    some, more = update_obligations(shields.owing[e], counted, flags[0], flags[1], broken, grown, owing)
+    if more:
+        # A vehicle that takes more room than before has to leave the ego's fail-safe its room.
+        some = mark_touching(world, after.others, law.numbers.dt, grown, broken) or some
+        some = _judge_growth(bench, e, broken, grown) or some
+    _count(shields, e, owing, broken, some)
     shields.crashed[e] = crashed
     return True

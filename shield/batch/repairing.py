@@ -10,9 +10,10 @@ from dynamics.pass_by_pointer import Pointer, dereference
 from dynamics.roads.straight import nearest
 from dynamics.state import IntArray
 from dynamics.vehicle.controllers import KP_SPEED
-from shield.batch.arrays import BatchMemory, BatchPointers, BatchScene, BatchWorkspace
+from shield.batch.arrays import BatchMemory, BatchPointers, BatchWorkspace
 from shield.batch.parameters import NO_INDEX, BatchParameters
 from shield.batch.verifying import frames_of, verify
+from shield.certificate.road.clauses.workspace import ClauseScene
 from shield.pipelines.frames import ACCELERATIONS, GREATEST, LANE_PENALTY
 
 __all__ = ["evade", "fail_lanes", "held_back", "hold_back"]
@@ -57,12 +58,12 @@ def fail_lanes(shields: BatchMemory, law: BatchParameters, e: int, lane: int, ou
 
 
 @kernel_no_refcount
-def hold_back(bench: BatchPointers, scene: Pointer[BatchScene], e: int, lane: int, speed: float, begins: int) -> int:
+def hold_back(bench: BatchPointers, scene: Pointer[ClauseScene], e: int, lane: int, speed: float, begins: int) -> int:
     """The candidate with the greatest acceleration that verifies, committed lane first, or -1; `begins` as in
     `shield.pipelines.frames.AccelerationCap`, 0 or 1."""
     law, room = dereference(bench.law), dereference(bench.room)
     lanes, plans, grid = room.marks[2], room.plans, room.grid
-    count, v = fail_lanes(dereference(bench.shields), law, e, lane, lanes), dereference(scene).ego[3]
+    count, v = fail_lanes(dereference(bench.shields), law, e, lane, lanes), dereference(scene).state[3]
     here = nearest(law.centers, dereference(scene).state[1])
     _grid(law, v, speed, room)
     most = -math.inf
@@ -81,7 +82,7 @@ def hold_back(bench: BatchPointers, scene: Pointer[BatchScene], e: int, lane: in
                 best = max(best, grid[0, nexts[k]] - (0.0 if lanes[k] == lane else LANE_PENALTY))
         if best == -math.inf:
             x = law.numbers
-            return verify(bench, scene, at, x.one, frames, x.none, room.nobody, x.one)
+            return verify(bench, scene, at, (x.one, frames), x.none, room.nobody, x.one)
         for k in range(count):
             if nexts[k] >= 0 and grid[0, nexts[k]] - (0.0 if lanes[k] == lane else LANE_PENALTY) == best:
                 tied[n] = k
@@ -114,7 +115,7 @@ def _least_bad(room: BatchWorkspace, n: int, lawful: bool) -> int:
 
 
 @kernel_no_refcount
-def evade(bench: BatchPointers, lent: Pointer[BatchScene], e: int, speed: float, violated: bool) -> int:
+def evade(bench: BatchPointers, lent: Pointer[ClauseScene], e: int, speed: float, violated: bool) -> int:
     """The candidate that is expected to stay clear longest, among those that clear the vehicles without a violation
     (see `ObservedScene.lawful`); if there are none, among all."""
     shields, law, room, scene = (
@@ -132,7 +133,7 @@ def evade(bench: BatchPointers, lent: Pointer[BatchScene], e: int, speed: float,
     if stored != NO_INDEX and stored not in (here, here - 1, here + 1):
         lanes[n] = stored
         n += 1
-    v, most = scene.ego[3], -math.inf
+    v, most = scene.state[3], -math.inf
     _grid(law, v, speed, room)
     at = 0
     for k in range(n):
@@ -143,16 +144,16 @@ def evade(bench: BatchPointers, lent: Pointer[BatchScene], e: int, speed: float,
             at += 1
     frames = frames_of(law, v, most, law.numbers.one)
     if violated:
-        verify(bench, lent, at, x.one, frames, x.none, shields.offenders[e], x.none)
+        verify(bench, lent, at, (x.one, frames), x.none, shields.offenders[e], x.none)
         for i in range(at):
             plans.lawful[i] = plans.margins[i]
         # The workspace may hold the values of another forecast in this scene.
         for j in range(scene.around.states.shape[0]):
             room.desk.done[1, j] = 0
-        verify(bench, lent, at, x.one, frames, frames, room.nobody, x.none)
+        verify(bench, lent, at, (x.one, frames), frames, room.nobody, x.none)
         for i in range(at):
             plans.expected[i], plans.lasting[i] = plans.margins[i], plans.clear[i]
-    verify(bench, lent, at, x.one, frames, x.none, room.nobody, x.none)
+    verify(bench, lent, at, (x.one, frames), x.none, room.nobody, x.none)
     keeps = False
     for i in range(at):
         if not violated:

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from dynamics.compiled import kernel_no_refcount
 from dynamics.highway_simulator.layout import SPEED, TARGET, TARGET_SPEED
 from dynamics.highway_simulator.neighbours import sort
 from dynamics.highway_simulator.step_kernels import (
-    Machine,
-    ObservationConfig,
-    Rules,
-    StepResults,
-    Work,
-    Worlds,
+    Simulation,
     advance,
     begin,
     begin_next_episode,
@@ -30,10 +26,50 @@ from shield.batch.parameters import BatchParameters
 from shield.batch.supervising import supervise
 from shield.decision import Tier
 
-__all__ = ["let_pass", "step_all_shielded"]
+__all__ = ["BatchPart", "DecisionInputs", "FrameRecords", "ShieldArrays", "let_pass", "step_all_shielded"]
 
 _PASSED, _OFF = TIERS.index(Tier.PASSED), TIERS.index(Tier.OFF)
 _NO_TARGET = -1, 0.0
+
+
+class ShieldArrays(NamedTuple):
+    """Memory, settings and records of the shields, and the workspace of one thread."""
+
+    shields: BatchMemory
+    law: BatchParameters
+    room: BatchWorkspace
+    records: BatchRecords
+
+
+class DecisionInputs(NamedTuple):
+    """Inputs of the decisions.
+
+    Attributes
+    ----------
+    actions, orders : proposal in each environment, (e,), and order of the alternatives, (e, actions or 0), see
+        `decide`.
+    given : buffer for an action, (2,).
+    """
+
+    actions: IntArray
+    orders: IntArray
+    given: FloatArray
+
+
+class FrameRecords(NamedTuple):
+    """Bodies after each frame, (e, F, m, 7), and whether the ego is off the road then, (e, F)."""
+
+    rows: FloatArray
+    off_road: BoolArray
+
+
+class BatchPart(NamedTuple):
+    """The environments of one thread: from `first` to `last`; with `again`, environments with a finished episode are
+    reset."""
+
+    first: int
+    last: int
+    again: bool
 
 
 @kernel_no_refcount
@@ -49,43 +85,27 @@ def let_pass(records: BatchRecords, e: int, proposed: int) -> None:
 
 @kernel_no_refcount
 def step_all_shielded(
-    machine: Machine,
-    worlds: Worlds,
-    rules: Rules,
-    view: ObservationConfig,
-    work: Work,
-    seen: StepResults,
-    shields: BatchMemory,
-    law: BatchParameters,
-    room: BatchWorkspace,
-    records: BatchRecords,
-    actions: IntArray,
-    orders: IntArray,
-    given: FloatArray,
-    rows: FloatArray,
-    off_road: BoolArray,
-    first: int,
-    last: int,
-    again: bool,
+    simulation: Simulation,
+    shield: ShieldArrays,
+    inputs: DecisionInputs,
+    frames: FrameRecords,
+    part: BatchPart,
     frequency: float,
 ) -> None:
-    """One shielded decision in each of the environments from `first` to `last`; with `again`, environments with a
-    finished episode are reset.
+    """One shielded decision in each of the environments of a part.
 
     Parameters
     ----------
-    machine, worlds, rules, view, work, seen : of the simulator.
-    shields, law, room : memory, settings, and workspace of the thread. records : the decisions, written.
-    actions, orders : proposal in each environment, (e,), and order of the alternatives, (e, actions or 0), see
-        `decide`.
-    given : buffer for an action, (2,).
-    rows, off_road : bodies after each frame, (e, F, m, 7), and whether the ego is off the road then, (e, F); written.
+    shield : its memory and records are written. frames : written.
     frequency : frames per second [Hz].
     """
+    machine, worlds, rules, view, work, seen = simulation
+    shields, law, room, records = shield
+    actions, orders, given = inputs
     bench = BatchPointers(
         address_of(shields), address_of(law), address_of(worlds), address_of(room), address_of(records)
     )
-    for e in range(first, last):
+    for e in range(part.first, part.last):
         before, proposed, off = shields.offences[e], actions[e], law.numbers.off
         broken, by_rule = records.broken[e], shields.by_rule[e]
         for k in range(by_rule.shape[0]):
@@ -116,7 +136,7 @@ def step_all_shielded(
                     throttle = max(records.accelerations[e, k], -max(worlds.f[e, SPEED, 0], 0.0) * frequency)
             level = advance(machine, worlds, rules, work, e, level, throttle, math.nan)
             shields.clock[e] += 1
-            off_road[e, k] = not look(worlds, rules, e, rows[e, k])
+            frames.off_road[e, k] = not look(worlds, rules, e, frames.rows[e, k])
         finish(machine, worlds, rules, view, work, seen, e)
         if not off and (seen.terminated[e] or seen.truncated[e]):
             # The last frame of an episode is observed although no decision follows.
@@ -124,6 +144,6 @@ def step_all_shielded(
         records.violations[e] = shields.offences[e] - before
         for k in range(by_rule.shape[0]):
             broken[k] += by_rule[k]
-        if again and (seen.terminated[e] or seen.truncated[e]):
+        if part.again and (seen.terminated[e] or seen.truncated[e]):
             begin_next_episode(machine, worlds, rules, view, work, seen, e)
             reset_memory(shields, e)

@@ -9,7 +9,6 @@ from shield.batch.arrays import (
     BatchMemory,
     BatchPointers,
     BatchRecords,
-    BatchScene,
     BatchWorkspace,
     scene_of,
     without_precautions,
@@ -20,6 +19,7 @@ from shield.batch.parameters import NO_INDEX
 from shield.batch.repairing import evade, fail_lanes, hold_back
 from shield.batch.verifying import frames_of, verify
 from shield.certificate.road.clauses.all_clauses import NOTHING_BINDS
+from shield.certificate.road.clauses.workspace import ClauseScene
 from shield.certificate.road.verify import ROUNDING
 from shield.decision import Reason, Tier
 
@@ -76,12 +76,12 @@ def judge_stored(bench: BatchPointers, e: int) -> float:
     shields, law, room = dereference(bench.shields), dereference(bench.law), dereference(bench.room)
     frames, x = set_stop_candidate(shields, law, e, shields.stored[e], room), law.numbers
     scene = address_of(without_precautions(scene_of(shields, law, e)))
-    verify(bench, scene, x.one, x.one, frames, x.none, shields.offenders[e], x.none)
+    verify(bench, scene, x.one, (x.one, frames), x.none, shields.offenders[e], x.none)
     return float(room.plans.margins[0])
 
 
 @kernel_no_refcount
-def _fall_back(bench: BatchPointers, scene: Pointer[BatchScene], e: int, k: int, speed: float) -> None:
+def _fall_back(bench: BatchPointers, scene: Pointer[ClauseScene], e: int, k: int, speed: float) -> None:
     """Continue the stored plan while it clears the vehicles without a violation. With a violator, choose among the
     candidates that clear those vehicles the one that clears the violators longest."""
     shields, law, room, records = (
@@ -129,7 +129,7 @@ def supervise(bench: BatchPointers, e: int, k: int) -> None:
         plans.lanes[i], plans.fails[i], plans.speeds[i] = lane, fails[i], speed
     x = law.numbers
     frames = frames_of(law, v, speed, x.one)
-    found = verify(bench, scene, n, x.one, frames, x.none, room.nobody, x.one)
+    found = verify(bench, scene, n, (x.one, frames), x.none, room.nobody, x.one)
     if found != NO_INDEX:
         _keep(records, e, k, _PASSED, _NONE, lane, 0.0)
         _note(records, e, k, room, found)

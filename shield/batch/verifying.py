@@ -8,11 +8,13 @@ from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.pass_by_pointer import Pointer, dereference
 from dynamics.state import BoolArray, FloatArray
 from dynamics.vehicle.controllers import KP_SPEED
-from dynamics.vehicle.rollout_kernels import roll_frame, slip_at
-from shield.batch.arrays import BatchPointers, BatchScene
+from dynamics.vehicle.rollout_kernels import StopTarget, roll_frame, slip_at
+from shield.batch.arrays import BatchPointers
 from shield.batch.parameters import NO_INDEX, BatchParameters
 from shield.certificate.road.clauses.all_clauses import SEPARATION_BINDS, evaluate_path
 from shield.certificate.road.clauses.footprint import across_of, along_of
+from shield.certificate.road.clauses.inputs import PlannedPath
+from shield.certificate.road.clauses.workspace import ClauseScene, ClauseWorkspace
 
 __all__ = ["frames_of", "verify"]
 
@@ -28,7 +30,7 @@ def frames_of(law: BatchParameters, v: float, most: float, commit: int) -> int:
 
 
 @kernel_inline
-def _touches(s: float, r: float, sin: float, cos: float, rear: float, j: int, scene: BatchScene) -> bool:
+def _touches(s: float, r: float, sin: float, cos: float, rear: float, j: int, scene: ClauseScene) -> bool:
     """Whether the ego's buffer certainly overlaps with a place that vehicle `j` can reach; its body is no further back
     than `rear` [m]."""
     foot, others = scene.foot, scene.around.others
@@ -39,39 +41,35 @@ def _touches(s: float, r: float, sin: float, cos: float, rear: float, j: int, sc
 
 @kernel_inline
 def _roll(
-    scene: BatchScene,
-    law: BatchParameters,
-    lines: tuple[float, float],
-    speed: float,
-    commit: int,
+    scene: ClauseScene,
+    target: StopTarget,
+    dt: float,
     path: FloatArray,
-    turned: FloatArray,
-    rears: FloatArray,
+    desk: ClauseWorkspace,
     suspect: int,
     reached: int,
 ) -> bool:
     """Roll out a candidate to `path`, (K, 4), see `dynamics.vehicle.rollout_kernels.roll_stop`, with the sine and
-    cosine of its headings in `turned`.
+    cosine of its headings in `desk.turned`.
 
     Parameters
     ----------
-    lines : lateral positions of the target lane and of the lane of the stop [m]. speed : target speed [m/s].
-    commit : number of frames of commitment. rears : of the clauses' workspace, (2, m, K).
+    dt : frame [s]. desk : workspace of the clauses.
     suspect : vehicle that is checked during the rollout, or `NO_INDEX`. reached : first frame of this check.
 
     Returns
     -------
     False as soon as the candidate `_touches` the suspect.
     """
-    braking, dt, state, frames = law.numbers.braking, law.numbers.dt, scene.state, path.shape[0]
+    state, frames, turned, rears, table = scene.state, path.shape[0], desk.turned, desk.rears, scene.table
     s, r, psi, v = state[0], state[1], state[2], state[3]
     sin, cos = math.sin(psi), math.cos(psi)
     for f in range(frames):
-        to, a = lines[0], KP_SPEED * (speed - v)
-        if f >= commit:
-            to, a = lines[1], -braking
-        a, slip = max(a, max(v, 0.0) * (-1 / dt)), slip_at(s, r, psi, v, to, law.table, dt)
-        s, r, psi, v = roll_frame(s, r, psi, v, sin, cos, a, slip, law.table, dt)
+        to, a = target.goal, KP_SPEED * (target.speed - v)
+        if f >= target.commit:
+            to, a = target.last_goal, -target.braking
+        a, slip = max(a, max(v, 0.0) * (-1 / dt)), slip_at(s, r, psi, v, to, table, dt)
+        s, r, psi, v = roll_frame((s, r, psi, v), (sin, cos), a, slip, table, dt)
         sin, cos = math.sin(psi), math.cos(psi)
         path[f, 0], path[f, 1], path[f, 2], path[f, 3] = s, r, psi, v
         turned[0, f], turned[1, f] = sin, cos
@@ -84,10 +82,9 @@ def _roll(
 @kernel_no_refcount
 def verify(
     bench: BatchPointers,
-    lent: Pointer[BatchScene],
+    lent: Pointer[ClauseScene],
     n: int,
-    commit: int,
-    frames: int,
+    horizon: tuple[int, int],
     hold: int,
     ignored: BoolArray,
     first: int,
@@ -97,7 +94,7 @@ def verify(
 
     Parameters
     ----------
-    lent : the scene. commit, frames : number of frames of commitment to the target, and in total.
+    lent : the scene. horizon : number of frames of commitment to the target, and in total.
     hold, ignored : see `evaluate_path`.
 
     Returns
@@ -105,6 +102,7 @@ def verify(
     The first candidate that verifies, or -1.
     """
     scene, law, room = dereference(lent), dereference(bench.law), dereference(bench.room)
+    commit, frames, braking, dt = horizon[0], horizon[1], law.numbers.braking, law.numbers.dt
     plans, desk, found, behind = room.plans, room.desk, NO_INDEX, scene.around.others.behind
     suspect, reached = NO_INDEX, 0
     if first > 0 and hold == 0 and room.suspect[0] != NO_INDEX and desk.done[0, room.suspect[0]] >= frames:
@@ -118,26 +116,13 @@ def verify(
     path = room.path[:frames]
     for i in range(n):
         lane, fail = plans.lanes[i], plans.fails[i]
-        lines = law.centers[lane], law.centers[fail]
+        target = StopTarget(law.centers[lane], law.centers[fail], plans.speeds[i], commit, braking)
         # The vehicle that the last candidate failed for is checked first, during the rollout.
-        if not _roll(scene, law, lines, plans.speeds[i], commit, path, desk.turned, desk.rears, suspect, reached):
+        if not _roll(scene, target, dt, path, desk, suspect, reached):
             plans.margins[i] = -math.inf
             continue
-        margin, clear, clause, vehicle = evaluate_path(
-            path,
-            lane,
-            fail,
-            scene.state,
-            scene.foot,
-            scene.settings,
-            law.table,
-            hold,
-            scene.ground,
-            ignored,
-            scene.around,
-            scene.slipping,
-            desk,
-        )
+        plan = PlannedPath(path, desk.turned, lane, fail)
+        margin, clear, clause, vehicle = evaluate_path(plan, scene, hold, ignored, desk)
         plans.margins[i], plans.clear[i], plans.clauses[i], plans.vehicles[i] = margin, clear, clause, vehicle
         if margin >= 0 and found == NO_INDEX:
             found = i

@@ -15,6 +15,7 @@ import numpy as np
 from dynamics.scenes.scene import Scene, Target
 from dynamics.state import FloatArray, State
 from dynamics.vehicle.controllers import KP_SPEED, speed_to_index
+from dynamics.vehicle.rollout_kernels import StopTargets
 from dynamics.vehicle.rollouts import NO_LIMIT, Rollouts
 
 __all__ = ["Brakes", "Candidates", "Manoeuvres", "brake_candidates", "meta_candidates"]
@@ -74,9 +75,8 @@ class Brakes:
 
     def paths(self, rollouts: Rollouts, state: FloatArray) -> FloatArray:
         """Road states after each frame, (n, frames, 4), from a road state (4,)."""
-        return rollouts.run_brakes(
-            state, self.centers, self.lanes, self.fails, self.speeds, self.commit, self.frames, self.braking
-        )
+        targets = StopTargets(self.lanes, self.fails, self.speeds, self.commit, self.braking)
+        return rollouts.run_brakes(state, self.centers, targets, self.frames)
 
 
 def brake_candidates(

@@ -12,10 +12,12 @@ import numpy as np
 
 from dynamics.scenes.scene import Scene
 from dynamics.state import BoolArray, FloatArray, IntArray, RoadState, State, Vehicle
-from dynamics.traffic.occupancy import OtherVehicles, PreviousVehicles
+from dynamics.traffic.occupancy import OtherVehicles
+from dynamics.traffic.tables import VehicleTables
 from dynamics.vehicle.controllers import KP_SPEED
 from dynamics.vehicle.rollouts import Rollouts
 from shield.certificate.road.clauses.followers import updated_lanes
+from shield.certificate.road.clauses.inputs import LaneDistances, LaneState
 from shield.certificate.road.clauses.others import TOUCH
 from shield.certificate.road.manoeuvres import Manoeuvres, brake_candidates
 from shield.certificate.road.monitor import ParkingMonitor, RoadMonitor
@@ -153,7 +155,7 @@ def observe(
     if last is not None and same is not None and scene.blurred and frames == 1:
         scene = shrink_bounds(last.scene, last.around, same, scene)
     ego = float(scene.ego_road[RoadState.S])
-    before: OtherVehicles | PreviousVehicles | None = None
+    before: OtherVehicles | VehicleTables | None = None
     if last is not None and not scene.blurred:
         before = last.around if same is None else _before(last.around, same, scene, config, ego)
     # Over more than one frame, the distance that each vehicle has lost by turning is not known.
@@ -203,7 +205,7 @@ def _followers(last: PathVerifier | None, same: IntArray | None) -> tuple[BoolAr
     return flags[0], flags[1]
 
 
-def _before(last: OtherVehicles, same: IntArray, scene: Scene, config: ShieldConfig, ego: float) -> PreviousVehicles:
+def _before(last: OtherVehicles, same: IntArray, scene: Scene, config: ShieldConfig, ego: float) -> VehicleTables:
     """The other vehicles in the last scene. New vehicles are taken to have kept their speed, and lost no distance by
     turning."""
     fresh = OtherVehicles(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt, None, ego)
@@ -216,7 +218,7 @@ def _before(last: OtherVehicles, same: IntArray, scene: Scene, config: ShieldCon
     then = same[known]
     tables.marks[:, known], tables.numbers[:, known] = last.tables.marks[:, then], last.tables.numbers[:, then]
     tables.brakes[known], tables.recent[known] = last.tables.brakes[then], last.tables.recent[then]
-    return PreviousVehicles(rows, states, tables)
+    return VehicleTables(rows, states, tables)
 
 
 def _lanes(
@@ -237,12 +239,14 @@ def _lanes(
             comes = np.ones((len(last.visible), len(same)), dtype=bool)
             comes[:, same >= 0] = last.comes[:, same[same >= 0]]
         before = last.visible, last.owned, owing, comes
+    visible, owned, owing, comes = before
     r, psi, sight = scene.ego_road[RoadState.R], scene.ego_road[RoadState.HEADING], config.assumptions.visible_distance
     length, width = float(scene.ego[Vehicle.LENGTH]), float(scene.ego[Vehicle.WIDTH])
     half = 0.5 * (length * abs(math.sin(psi)) + width * abs(math.cos(psi)))
     half += footprint_of(length, width, config.buffer, scene.road.bends)[0].bare_across
-    stop, near = -1 if stored is None else stored, (sight, TOUCH + half, 0.5 * float(scene.road.width) + half)
-    return updated_lanes(float(r), scene.road.centers, frames, *near, stop, *before)
+    near = LaneDistances(sight, TOUCH + half, 0.5 * float(scene.road.width) + half)
+    lanes, stop = LaneState(scene.road.centers, owned, visible), -1 if stored is None else stored
+    return updated_lanes(float(r), frames, near, stop, lanes, owing, comes)
 
 
 def _brake(

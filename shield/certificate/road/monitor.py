@@ -13,8 +13,9 @@ import numpy as np
 
 from dynamics.compiled import kernel_no_refcount
 from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
-from dynamics.traffic.occupancy import OtherVehicles, PreviousVehicles
+from dynamics.traffic.occupancy import OtherVehicles
 from dynamics.traffic.rules_of_the_road import EgoFootprint, RoadRule, gap_between, rule_violations
+from dynamics.traffic.tables import VehicleTables
 
 if TYPE_CHECKING:
     from shield.certificate.road.verify import PathVerifier
@@ -164,7 +165,7 @@ class RoadMonitor:
     def next(
         self,
         survey: PathVerifier,
-        before: OtherVehicles | PreviousVehicles | None,
+        before: OtherVehicles | VehicleTables | None,
         new: BoolArray | None,
         counted: BoolArray,
         period: float,

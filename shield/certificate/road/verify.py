@@ -31,20 +31,24 @@ from dynamics.scenes.scene import Scene
 from dynamics.state import BoolArray, FloatArray, IntArray, RoadState, Vehicle
 from dynamics.traffic.occupancy import OtherVehicles
 from dynamics.traffic.rules_of_the_road import EgoFootprint, footprint
+from dynamics.traffic.tables import VehicleTables
 from dynamics.vehicle.rollout_kernels import table_of
 from shield.certificate.road.clauses.all_clauses import (
     CUT_IN_BINDS,
     NOTHING_BINDS,
     ROOM_BINDS,
     SEPARATION_BINDS,
+    CandidatePaths,
+    SceneArrays,
     evaluate_paths,
 )
 from shield.certificate.road.clauses.edge import lanes_touched
 from shield.certificate.road.clauses.followers import in_reach
 from shield.certificate.road.clauses.footprint import Footprint
+from shield.certificate.road.clauses.inputs import EarlierVehicles, EgoArrays, LaneState
 from shield.certificate.road.clauses.others import RoadVehicles, empty_vehicles, vehicles_from
 from shield.certificate.road.clauses.parameters import settings_of
-from shield.certificate.road.clauses.scene import find_relied_on, prepare_scene
+from shield.certificate.road.clauses.scene import SceneBuffers, find_relied_on, prepare_scene
 from shield.config import Buffer, ShieldConfig
 from shield.decision import ROUNDING
 
@@ -192,27 +196,14 @@ class PathVerifier:
             offset = np.abs(road.centers - state[RoadState.R])
             in_sight = np.where(offset <= a.visible_distance, np.iinfo(np.intp).max, 0)
         m = len(scene.others)
-        self._of_others = numbers, flags = empty_vehicles(m, lanes)
-        slipping = np.empty((2 * m, 4))
-        count = prepare_scene(
-            around.others,
-            around.states,
-            *around.tables,
-            scene.ego,
-            state,
-            self._size,
-            road.centers,
-            self._settings,
-            self.owned,
-            in_sight,
-            self.plan,
-            _NOBODY if followers is None else followers,
-            _NO_LANES if coming is None else coming,
-            numbers,
-            flags,
-            slipping,
-            np.empty((m, 4), np.bool_),
-        )
+        self._of_others, slipping = empty_vehicles(m, lanes), np.empty((2 * m, 4))
+        self._vehicles = VehicleTables(around.others, around.states, around.tables)
+        self._ego = EgoArrays(scene.ego, state, self._size)
+        ground = LaneState(road.centers, self.owned, in_sight)
+        earlier = EarlierVehicles(_NOBODY if followers is None else followers, _NO_LANES if coming is None else coming)
+        out = SceneBuffers(self._of_others, slipping, np.empty((m, 4), np.bool_))
+        count = prepare_scene(self._vehicles, self._ego, ground, self._settings, self.plan, earlier, out)
+        flags = self._of_others.flags
         self._slipping, self.behind, self.held, self.comes = slipping[:count], flags[0], flags[1], flags[2 + lanes :]
 
     @cached_property
@@ -232,8 +223,8 @@ class PathVerifier:
         `held` of the scene before."""
         out = np.zeros(len(self.behind), dtype=bool)
         if self.plan[0] >= 0 and before is not None:
-            scene = self.scene.ego_road, self._size, self.scene.road.centers
-            find_relied_on(*self.around.tables, *self._of_others, *scene, self.plan, self.owned, before, out)
+            lanes = LaneState(self.scene.road.centers, self.owned, self._visible)
+            find_relied_on(self._vehicles, self._of_others, self._ego, lanes, self.plan, before, out)
         return out
 
     def entered(self, paths: FloatArray, fails: IntArray) -> tuple[IntArray, FloatArray, BoolArray, IntArray]:
@@ -275,27 +266,18 @@ class PathVerifier:
         hold : number of frames for which the others are *expected* to keep their speed (a forecast, not a bound).
         """
         around = self.around
-        found, marks, rows = evaluate_paths(
-            paths,
-            lanes,
-            fails,
-            self.scene.ego_road,
-            self._size,
-            self.scene.road.centers,
+        scene = SceneArrays(
+            self._ego,
+            LaneState(self.scene.road.centers, self.owned, self._visible),
+            self._vehicles,
+            self._of_others,
+            self._slipping,
+            around.stretch,
             self._settings,
             around.settings,
             self._table,
-            hold,
-            self.owned,
-            self._visible,
-            self.ignored,
-            around.others,
-            around.states,
-            around.stretch,
-            *around.tables,
-            *self._of_others,
-            self._slipping,
         )
+        found, marks, rows = evaluate_paths(CandidatePaths(paths, lanes, fails), scene, hold, self.ignored)
         self._close_gaps(paths, found[0])
         return Clearance(found[0], marks[0], found[1:], rows, marks[1:])
 

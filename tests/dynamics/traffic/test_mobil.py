@@ -20,7 +20,9 @@ def gains(states, *args, ego=None):
     """Vehicles with an incentive to change to either side, (m, 2) bool."""
     out = np.empty((len(states), 2), dtype=bool)
     nobody = np.array([-np.inf, 0.0, 0.0, 0.0]) if ego is None else ego
-    mobil.lane_change_incentives(states, states[:, 3] * np.sin(states[:, 2]), *args, nobody, np.ones_like(out), out)
+    lane, low, high, *sight = args
+    traffic = mobil.TrafficInLanes(states, states[:, 3] * np.sin(states[:, 2]), lane, low, high)
+    mobil.lane_change_incentives(traffic, mobil.LaneSight(*sight), nobody, np.ones_like(out), out)
     return out
 
 

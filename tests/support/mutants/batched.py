@@ -12,7 +12,7 @@ BATCHED = (
     off(
         "a suspect from another scene",
         f"{BATCH}.observing",
-        "observe",
+        "_prepare",
         "_[0], _[0] = (0, _)",
         "{1}[0] = 0",
         _TESTS,
@@ -28,7 +28,7 @@ BATCHED = (
     off(
         "bounds from another scene",
         f"{BATCH}.observing",
-        "observe",
+        "_prepare",
         "_[0, _] = _[1, _] = 0",
         "pass",
         _TESTS,

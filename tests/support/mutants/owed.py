@@ -27,7 +27,7 @@ OWED = (
     off(
         "blind merge off",
         TOGETHER,
-        "_separations",
+        "_lateral",
         "_ > 0 and _ == 0",
         "False",
         "blind",

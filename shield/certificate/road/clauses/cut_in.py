@@ -25,11 +25,21 @@ import numpy as np
 from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.state import FloatArray, IntArray
 from dynamics.traffic.mobil import COMFORT, IMPOSED, TIME, TWICE_ROOT, desired_gap
-from dynamics.traffic.tables import Bodies
-from dynamics.vehicle.rollout_kernels import roll_stop
+from dynamics.traffic.tables import VehicleBodies
+from dynamics.vehicle.rollout_kernels import StopTarget, roll_stop
 from shield.certificate.road.clauses.footprint import Footprint
+from shield.certificate.road.clauses.parameters import ClauseSettings
 
-__all__ = ["CUT_IN_DURATION", "CutIns", "any_cut_in", "cut_in_separations", "cut_ins_of", "find_cut_ins", "sweeps"]
+__all__ = [
+    "CUT_IN_DURATION",
+    "CutInBounds",
+    "CutIns",
+    "any_cut_in",
+    "cut_in_separations",
+    "cut_ins_of",
+    "find_cut_ins",
+    "sweeps",
+]
 
 _SLACK, _HARDLY = 3.0, 0.5
 """Tolerance on d* when the lane change starts [m]; the second is that for d* of the ego, since its plan is known."""
@@ -64,6 +74,7 @@ class CutIns(NamedTuple):
     ratios : d* to the old leader as a share of the gap to it, in the worst case and now, (2, m).
     reaches : half the length of each, (m,) [m].
     gain, braking : greatest acceleration and greatest deceleration [m/s^2].
+    sight : distance from a lane's centre within which the ego is visible there [m]. dt : frame [s].
     """
 
     starts: FloatArray
@@ -73,6 +84,22 @@ class CutIns(NamedTuple):
     reaches: FloatArray
     gain: float
     braking: float
+    sight: float
+    dt: float
+
+
+class CutInBounds(NamedTuple):
+    """Places that m vehicles can reach while they cut in.
+
+    Attributes
+    ----------
+    rear, front : least and greatest s of each body after each frame, (m, at least K) [m].
+    sweep : lateral extents of each body after each frame of its lane change, (m, T, 2) [m], see `sweeps`.
+    """
+
+    rear: FloatArray
+    front: FloatArray
+    sweep: FloatArray
 
 
 @kernel_inline
@@ -108,9 +135,7 @@ def _held_up(j: int, states: FloatArray, center: float, sight: float, braking: f
 
 @kernel_no_refcount
 def find_cut_ins(
-    others: FloatArray,
-    states: FloatArray,
-    bodies: Bodies,
+    vehicles: VehicleBodies,
     ego: FloatArray,
     length: float,
     centers: FloatArray,
@@ -120,6 +145,7 @@ def find_cut_ins(
 ) -> int:
     """Find the vehicles that may cut into a lane in which the ego is visible, and return their number. Rows of `out`,
     (2 m, 4): vehicle, lane, greatest possible ratio of d* to the gap, and the present ratio."""
+    others, states, bodies = vehicles.rows, vehicles.states, vehicles.bodies
     count, m, lane, first, last = 0, states.shape[0], bodies.lane, bodies.first, bodies.last
     for j in range(m):
         v, s = states[j, 3], states[j, 0]
@@ -151,34 +177,30 @@ def find_cut_ins(
 @kernel_no_refcount
 def cut_ins_of(
     found: FloatArray,
-    states: FloatArray,
-    bodies: Bodies,
+    vehicles: VehicleBodies,
     centers: FloatArray,
-    gain: float,
-    braking: float,
+    settings: ClauseSettings,
     rows: IntArray,
-    numbers: FloatArray,
-    ratios: FloatArray,
+    buffer: FloatArray,
 ) -> CutIns:
     """The tuple `CutIns` of the vehicles that `find_cut_ins` has found, (n, 4). Written: their `rows` (n,), and the
-    buffers `numbers` (4, n) and `ratios` (2, n)."""
+    `buffer` (6, n)."""
+    states, reach, numbers, ratios = vehicles.states, vehicles.bodies.reach, buffer[:4], buffer[4:]
     for k in range(found.shape[0]):
         j = rows[k] = int(found[k, 0])
         numbers[0, k], numbers[1, k] = states[j, 0], states[j, 3]
-        numbers[2, k], numbers[3, k] = centers[int(found[k, 1])], bodies.reach[j]
+        numbers[2, k], numbers[3, k] = centers[int(found[k, 1])], reach[j]
         ratios[0, k], ratios[1, k] = found[k, 2], found[k, 3]
-    return CutIns(numbers[0], numbers[1], numbers[2], ratios, numbers[3], gain, braking)
+    gain, braking, sight, dt = settings.acceleration, settings.hardest, settings.seen, settings.dt
+    return CutIns(numbers[0], numbers[1], numbers[2], ratios, numbers[3], gain, braking, sight, dt)
 
 
 @kernel_no_refcount
 def sweeps(
     rows: IntArray,
     slips: CutIns,
-    others: FloatArray,
-    states: FloatArray,
-    bodies: Bodies,
+    vehicles: VehicleBodies,
     table: FloatArray,
-    dt: float,
     paths: FloatArray,
     out: FloatArray,
 ) -> None:
@@ -187,15 +209,16 @@ def sweeps(
 
     Parameters
     ----------
-    rows : rows of the vehicles, (n,). others : vehicle rows, (m, 7). states : road states, (m, 4).
-    table : of the road, see `dynamics.vehicle.rollout_kernels`. dt : frame [s].
+    rows : rows of the vehicles, (n,).
+    table : of the road, see `dynamics.vehicle.rollout_kernels`.
     paths : buffer, (n, T, 4).
     """
+    others, states, bodies = vehicles.rows, vehicles.states, vehicles.bodies
     frames = out.shape[1]
     for k in range(rows.shape[0]):
         j = rows[k]
         goal = slips.goals[k]
-        roll_stop(states[j], goal, goal, slips.speeds[k], frames, 0.0, table, dt, paths[k])
+        roll_stop(states[j], StopTarget(goal, goal, slips.speeds[k], frames, 0.0), table, slips.dt, paths[k])
         low, high, length, width = bodies.low[j], bodies.high[j], others[j, 4], others[j, 5]
         for f in range(frames):
             r, sin, cos = paths[k, f, 1], abs(math.sin(paths[k, f, 2])), abs(math.cos(paths[k, f, 2]))
@@ -205,17 +228,15 @@ def sweeps(
 
 
 @kernel_inline
-def _begins(
-    s: float, r: float, u: float, k: int, j: int, slips: CutIns, sight: float, dt: float
-) -> tuple[bool, bool, bool]:
+def _begins(s: float, r: float, u: float, k: int, j: int, slips: CutIns) -> tuple[bool, bool, bool]:
     """Whether vehicle `j` may begin to cut in at frame k of a path; whether it may if it is restrained as it is now;
     and whether the ego is ahead of it.
 
     `s`, `r` and `u` are position [m] and speed [m/s] of the path at frame k.
     """
-    v, t = slips.speeds[j], dt * (k + 1)
+    v, t = slips.speeds[j], slips.dt * (k + 1)
     ahead = s - slips.starts[j] - v * t
-    seen = abs(r - slips.goals[j]) <= sight
+    seen = abs(r - slips.goals[j]) <= slips.sight
     if not ahead > 0:
         wanted = desired_gap(u, u - v)
         return seen and abs(wanted) <= _HARDLY - IMPOSED * ahead + _DRIFT * min(t, _BRAKES), False, False
@@ -238,7 +259,7 @@ def _offset(r: float, centers: FloatArray) -> float:
 
 
 @kernel_no_refcount
-def any_cut_in(path: FloatArray, slips: CutIns, centers: FloatArray, sight: float, dt: float) -> bool:
+def any_cut_in(path: FloatArray, slips: CutIns, centers: FloatArray) -> bool:
     """Whether any vehicle may cut in where `cut_in_separations` considers it, or the path (K, 4) is not
     finite."""
     for j in range(slips.goals.shape[0]):
@@ -247,7 +268,7 @@ def any_cut_in(path: FloatArray, slips: CutIns, centers: FloatArray, sight: floa
             s, r, u = path[k, 0], path[k, 1], path[k, 3]
             if not math.isfinite(s + r + path[k, 2] + u):
                 return True
-            may, at_once, _ = _begins(s, r, u, k, j, slips, sight, dt)
+            may, at_once, _ = _begins(s, r, u, k, j, slips)
             began = began or may
             if began and (at_once or _offset(r, centers) > _CENTRED):
                 return True
@@ -259,12 +280,8 @@ def cut_in_separations(
     path: FloatArray,
     size: Footprint,
     slips: CutIns,
-    rear: FloatArray,
-    front: FloatArray,
-    sweep: FloatArray,
+    bounds: CutInBounds,
     centers: FloatArray,
-    sight: float,
-    dt: float,
     out: FloatArray,
 ) -> None:
     """Least separation of a path (K, 4) from each vehicle that cuts in, written to `out` (m,) [m]; +inf where it does
@@ -272,12 +289,8 @@ def cut_in_separations(
 
     The first frame at which it may begin is the worst: later it reaches furthest. Once the bodies no longer overlap
     along the road, the vehicle has a distance obligation.
-
-    Parameters
-    ----------
-    rear, front : least and greatest s of each body after each frame, (m, at least K) [m].
-    sweep : lateral extents of each body after each frame of its lane change, (m, T, 2) [m], see `sweeps`.
     """
+    rear, front, sweep, dt = bounds.rear, bounds.front, bounds.sweep, slips.dt
     lon, lat = size.along, size.across
     for j in range(slips.goals.shape[0]):
         began, begun, leads, least = -1, -1, False, np.inf
@@ -287,7 +300,7 @@ def cut_in_separations(
                 least = np.nan
                 break
             if begun < 0:
-                may, at_once, ahead_of = _begins(s, r, u, k, j, slips, sight, dt)
+                may, at_once, ahead_of = _begins(s, r, u, k, j, slips)
                 if began < 0 and may:
                     began, leads = k, ahead_of
                 if at_once:

@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.vehicle.controllers import KP_HEADING, KP_LATERAL
+from shield.certificate.road.clauses.inputs import LaneState
 from shield.certificate.road.clauses.others import RoadVehicles
 
-__all__ = ["is_beside", "joins", "lateral_extents", "leaves_sight", "mark_entrants", "neighbours"]
+__all__ = ["LateralExtents", "is_beside", "joins", "lateral_extents", "leaves_sight", "mark_entrants", "neighbours"]
 
 _TURNING = 0.25
 """Lateral speed from which a vehicle counts as changing lanes, beyond the lateral speed of one that settles in its lane
 [m/s]."""
+
+
+class LateralExtents(NamedTuple):
+    """Lateral extents of m vehicles for a path, `low` and `high` (m,) [m], and their lanes, `home` (m,)."""
+
+    low: FloatArray
+    high: FloatArray
+    home: IntArray
 
 
 @kernel_inline
@@ -68,9 +78,8 @@ def neighbours(
 def mark_entrants(
     others: RoadVehicles,
     gains: BoolArray,
-    centers: FloatArray,
+    lanes: LaneState,
     before: BoolArray,
-    visible: IntArray,
     plan: tuple[int, int],
     sight: int,
     settled: int,
@@ -87,12 +96,12 @@ def mark_entrants(
     ----------
     others : the vehicles, (v,).
     gains : see `dynamics.traffic.mobil.lane_change_incentives`, (v, 2) bool; valid where `neighbours` has set `asked`.
-    centers : of the lanes [m].
+    lanes : of the scene.
     before : `others.comes` of the scene before, (lanes, v); of another shape if there was none.
-    visible : number of frames for which the ego has been visible in each lane, (lanes,).
     plan : lane in which the stored plan stops, and lane that it enters on the way, or -1.
     sight, settled : numbers of frames, see `VisibilityParameters.reaction` and `VisibilityParameters.settled`.
     """
+    centers, visible = lanes.centers, lanes.visible
     high, lane, r, across = others.high, others.lane, others.r, others.across
     besides, comes, n, v = others.beside, others.comes, centers.shape[0], others.lane.shape[0]
     known = before.shape[0] == n and before.shape[1] == v
@@ -117,44 +126,42 @@ def mark_entrants(
 
 @kernel_inline
 def lateral_extents(
-    lane: int,
-    fail: int,
+    entered: tuple[int, int],
     rows: IntArray,
     others: RoadVehicles,
     widths: FloatArray,
     centers: FloatArray,
     waver: float,
-    low: FloatArray,
-    high: FloatArray,
-    home: IntArray,
+    out: LateralExtents,
 ) -> None:
-    """Lateral extents of each vehicle for a path, `low` and `high` (m,) [m], and its lane, `home` (m,). They hold until
-    the ego is no longer visible in a lane that it enters, see `joins`.
+    """Write the lateral extents of each vehicle for a path, and its lane, to `out`. They hold until the ego is no
+    longer visible in a lane that it enters, see `joins`.
 
     Parameters
     ----------
-    lane, fail : lanes that the path commits to and stops in.
+    entered : lanes that the path commits to and stops in.
     rows : rows of the vehicles, (m,). others : all vehicles, (v,). widths : of their bodies, (v,) [m].
     centers : of the lanes [m].
     waver : greatest lateral deviation of a body from its lane's centre while it keeps to the centre [m].
     """
+    lane, fail, low, high, home = entered[0], entered[1], out.low, out.high, out.home
     lows, highs, lanes, comes = others.low, others.high, others.lane, others.comes
     for j in range(rows.shape[0]):
         row = rows[j]
         low[j], high[j], home[j] = lows[row], highs[row], lanes[row]
     for step in range(2 if fail != lane else 1):
-        entered = lane if step == 0 else fail
-        goal = centers[entered]
+        to = lane if step == 0 else fail
+        goal = centers[to]
         for j in range(rows.shape[0]):
             row = rows[j]
             if max(lows[row] - goal, goal - highs[row]) <= 0:
-                home[j] = entered  # it is there already, and sees the ego there
-            if not comes[entered, row] or not math.isfinite(low[j] + high[j]):
+                home[j] = to  # it is there already, and sees the ego there
+            if not comes[to, row] or not math.isfinite(low[j] + high[j]):
                 continue
             # As far as the band of a vehicle that is on its way to the centre of that lane.
             core = 0.5 * widths[row] + waver
             low[j], high[j] = min(low[j], goal - core), max(high[j], goal + core)
-            home[j] = entered
+            home[j] = to
 
 
 @kernel_inline

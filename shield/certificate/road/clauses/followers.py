@@ -10,11 +10,12 @@ import numpy as np
 from dynamics.compiled import compiled, kernel_inline, kernel_no_refcount
 from dynamics.roads.straight import nearest
 from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
-from dynamics.traffic.mobil import lane_change_incentives
+from dynamics.traffic.mobil import LaneSight, TrafficInLanes, lane_change_incentives
 from dynamics.traffic.rules_of_the_road import EgoFootprint, gap_between
-from dynamics.traffic.tables import Bodies
+from dynamics.traffic.tables import VehicleBodies
 from shield.certificate.road.clauses.entering import mark_entrants, neighbours
 from shield.certificate.road.clauses.footprint import Footprint, across_of, reach_across, reach_along
+from shield.certificate.road.clauses.inputs import EarlierVehicles, LaneDistances, LaneState, PlannedPath
 from shield.certificate.road.clauses.others import TOUCH, RoadVehicles
 
 __all__ = [
@@ -116,13 +117,9 @@ def _comes_back(
 def find_unobligated(
     others: RoadVehicles,
     limits: tuple[float, float],
-    lane: int,
-    fail: int,
-    owned: BoolArray,
-    centers: FloatArray,
+    plan: PlannedPath,
+    lanes: LaneState,
     state: FloatArray,
-    path: FloatArray,
-    turned: FloatArray,
     size: Footprint,
     rows: IntArray,
 ) -> int:
@@ -137,9 +134,9 @@ def find_unobligated(
     Parameters
     ----------
     others, limits : as in `in_reach`.
-    lane, fail : lanes that the path commits to and stops in. owned : lanes that the ego owns, (lanes,) bool.
-    centers : of the lanes [m]. state : of the ego now, (4,). path, turned, size : as in `extents`.
+    plan, lanes : the path, and the lanes of the scene. state, size : of the ego now: road state (4,), footprint.
     """
+    lane, fail, owned, centers = plan.lane, plan.fail, lanes.owned, lanes.centers
     low, high, behind, held = others.low, others.high, others.behind, others.held
     reached, count, stand = in_reach(others, limits, True, rows), 0, size.across + _LEFT
     for place in range(reached):
@@ -156,7 +153,7 @@ def find_unobligated(
             least, most = low[j], high[j]
             if least < centers[fail] + stand and most > centers[fail] - stand:
                 least, most = centers[fail] - stand, centers[fail] + stand
-            owes = not _comes_back(state, path, turned, size, least, most)
+            owes = not _comes_back(state, plan.path, plan.turned, size, least, most)
         if not owes:
             rows[count] = j
             count += 1
@@ -168,9 +165,8 @@ def mark_relied_on(
     others: RoadVehicles,
     state: FloatArray,
     size: Footprint,
-    centers: FloatArray,
+    lanes: LaneState,
     plan: tuple[int, int],
-    owned: BoolArray,
     before: tuple[BoolArray, BoolArray],
     counted: BoolArray,
 ) -> None:
@@ -184,12 +180,12 @@ def mark_relied_on(
 
     Parameters
     ----------
-    others : the vehicles, (v,). state, size : of the ego: road state (4,) and footprint. centers : of the lanes [m].
+    others : the vehicles, (v,). state, size : of the ego: road state (4,) and footprint.
     plan : lane in which the stored plan stops, and lane that it enters on the way, or -1.
-    owned : lanes that the ego owns, (lanes,) bool.
     before : whether each vehicle was behind the ego in the scene before, and whether it was in an owned lane, (v,)
         bool.
     """
+    centers, owned = lanes.centers, lanes.owned
     keeps = owned[plan[0]] and (plan[1] < 0 or owned[plan[1]])
     half, goal, stand = reach_across(size, state[2]) + _BESIDE, centers[plan[0]], size.across + _LEFT
     least, most = min(state[1], goal) - half, max(state[1], goal) + half
@@ -203,15 +199,10 @@ def mark_relied_on(
 @kernel_no_refcount
 def update_lanes(
     r: float,
-    centers: FloatArray,
     frames: int,
-    sight: float,
-    touch: float,
-    leave: float,
-    stored: int,
-    first: bool,
-    visible: IntArray,
-    owned: BoolArray,
+    near: LaneDistances,
+    plan: tuple[int, bool],
+    lanes: LaneState,
     owing: BoolArray,
     coming: BoolArray,
 ) -> None:
@@ -220,18 +211,18 @@ def update_lanes(
 
     Parameters
     ----------
-    r : lateral position of the ego [m]. centers : of the lanes [m]. frames : number of frames since the scene before.
-    sight : distance from a lane's centre within which the ego is visible in the lane [m].
-    touch, leave : the same, within which it touches the lane, and has not left it with its whole body [m].
-    stored : lane in which the stored fail-safe stops, or -1.
-    first : whether this is the first scene; then the other vehicles are taken to have seen the ego for long.
-    visible : number of frames for which the ego has been visible in each lane, (lanes,).
-    owned : lanes that the ego owns, (lanes,). Ownership begins when the ego touches the lane with a verified plan to
+    r : lateral position of the ego [m]. frames : number of frames since the scene before.
+    plan : lane in which the stored fail-safe stops, or -1; and whether this is the first scene. Then the other vehicles
+        are taken to have seen the ego for long.
+    lanes : `visible` and `owned` are updated. Ownership begins when the ego touches the lane with a verified plan to
         stop there. It ends when its body has left the lane and no stored plan stops there.
     owing : vehicles with a distance obligation, (m,).
     coming : whether each vehicle may enter each lane, (lanes, m) or (0, m). Where the ego is no longer visible in a
         lane, every vehicle without an obligation may enter it.
     """
+    stored, first = plan
+    centers, owned, visible = lanes.centers, lanes.owned, lanes.visible
+    sight, touch, leave = near.sight, near.touch, near.leave
     here = nearest(centers, r)
     for j in range(centers.shape[0]):
         offset, last = abs(r - centers[j]), visible[j]
@@ -246,19 +237,16 @@ def update_lanes(
 @compiled
 def updated_lanes(
     r: float,
-    centers: FloatArray,
     frames: int,
-    sight: float,
-    touch: float,
-    leave: float,
+    near: LaneDistances,
     stored: int,
-    visible: IntArray,
-    owned: BoolArray,
+    lanes: LaneState,
     owing: BoolArray,
     coming: BoolArray,
 ) -> tuple[IntArray, BoolArray, BoolArray]:
     """`update_lanes` with new arrays. In the first scene `visible` and `owned` are empty; `coming` may have any other
     shape if there is none."""
+    centers, owned, visible = lanes.centers, lanes.owned, lanes.visible
     n, first = centers.shape[0], visible.shape[0] != centers.shape[0]
     seen, own, comes = np.zeros(n, np.intp), np.zeros(n, np.bool_), coming.copy()
     if not first:
@@ -268,7 +256,7 @@ def updated_lanes(
         else:
             own[nearest(centers, r)] = True
     coming = comes if comes.shape[0] == n else comes[:0]
-    update_lanes(r, centers, frames, sight, touch, leave, stored, first, seen, own, owing, coming)
+    update_lanes(r, frames, near, (stored, first), LaneState(centers, own, seen), owing, coming)
     return seen, own, comes
 
 
@@ -278,30 +266,24 @@ class EgoInScene(NamedTuple):
     Attributes
     ----------
     state : road state, (4,). size : footprint. seen : the ego in the world frame.
-    owned : lanes that it owns, (lanes,). visible : number of frames for which it has been visible in each lane,
-        (lanes,).
+    lanes : of the scene.
     stored, entered : lane in which its stored plan stops, and lane that it enters on the way, or -1.
     """
 
     state: FloatArray
     size: Footprint
     seen: EgoFootprint
-    owned: BoolArray
-    visible: IntArray
+    lanes: LaneState
     stored: int
     entered: int
 
 
 @kernel_no_refcount
 def fill_vehicles(
-    rows: FloatArray,
-    states: FloatArray,
-    bodies: Bodies,
+    vehicles: VehicleBodies,
     ego: EgoInScene,
-    followers: BoolArray,
-    before: BoolArray,
+    earlier: EarlierVehicles,
     sight: VisibilityParameters,
-    centers: FloatArray,
     others: RoadVehicles,
     room: BoolArray,
 ) -> None:
@@ -309,12 +291,11 @@ def fill_vehicles(
 
     Parameters
     ----------
-    rows, states, bodies : vehicle rows (m, 7), road states (m, 4), and reachable places of their bodies.
-    ego : the ego.
-    followers : vehicles that had a distance obligation in the scene before, (m,) bool; empty if there was none.
-    before : `others.comes` of the scene before, (lanes, m); of another shape if there was none.
+    vehicles, ego : the scene. earlier : the other vehicles in the scene before.
     """
-    state, size, owned = ego.state, ego.size, ego.owned
+    rows, states, bodies = vehicles.rows, vehicles.states, vehicles.bodies
+    state, size, owned, centers, visible = ego.state, ego.size, ego.lanes.owned, ego.lanes.centers, ego.lanes.visible
+    followers, before = earlier.followers, earlier.comes
     lows, highs, floor, reach = bodies.low, bodies.high, bodies.floor, bodies.reach
     aheads, leasts, near, rs, across = others.ahead, others.least, others.size, others.r, others.across
     behinds, helds = others.behind, others.held
@@ -345,7 +326,7 @@ def fill_vehicles(
         return
     asked, tempted = room[:, :2], room[:, 2:]
     plan = (ego.stored, ego.entered)
-    neighbours(others, centers, sight.width, before, ego.visible, plan, asked)
-    strip = (bodies.lane, bodies.low, bodies.high)
-    lane_change_incentives(states, across, *strip, centers, sight.distance, sight.slack, state, asked, tempted)
-    mark_entrants(others, tempted, centers, before, ego.visible, plan, sight.reaction, sight.settled)
+    neighbours(others, centers, sight.width, before, visible, plan, asked)
+    traffic = TrafficInLanes(states, across, bodies.lane, bodies.low, bodies.high)
+    lane_change_incentives(traffic, LaneSight(centers, sight.distance, sight.slack), state, asked, tempted)
+    mark_entrants(others, tempted, ego.lanes, before, plan, sight.reaction, sight.settled)

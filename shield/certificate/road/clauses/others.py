@@ -10,7 +10,7 @@ from dynamics.compiled import kernel_inline
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.traffic.tables import Bodies
 
-__all__ = ["TOUCH", "RoadVehicles", "empty_vehicles", "vehicles_from"]
+__all__ = ["TOUCH", "RoadVehicles", "VehicleBuffers", "empty_vehicles", "vehicles_from"]
 
 TOUCH = 1.0
 """Distance from a lane's centre within which a body is in the way of that lane [m]: half the width of a car."""
@@ -46,9 +46,16 @@ class RoadVehicles(NamedTuple):
     comes: BoolArray
 
 
-def empty_vehicles(m: int, lanes: int) -> tuple[FloatArray, BoolArray]:
-    """Buffers for m vehicles, beyond their `Bodies`: numbers (5, m), and flags (2 + 2 lanes, m)."""
-    return np.empty((5, m)), np.zeros((2 + 2 * lanes, m), np.bool_)
+class VehicleBuffers(NamedTuple):
+    """The arrays that hold the fields of `RoadVehicles` beyond `Bodies`: numbers (5, m), and flags (2 + 2 lanes, m)."""
+
+    numbers: FloatArray
+    flags: BoolArray
+
+
+def empty_vehicles(m: int, lanes: int) -> VehicleBuffers:
+    """Buffers for m vehicles."""
+    return VehicleBuffers(np.empty((5, m)), np.zeros((2 + 2 * lanes, m), np.bool_))
 
 
 @kernel_inline

@@ -11,6 +11,7 @@ import numpy as np
 from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.state import FloatArray
 from shield.certificate.road.clauses.footprint import Footprint
+from shield.certificate.road.clauses.inputs import PlannedPath
 
 __all__ = ["FollowerResponse", "PathExtents", "UnobligatedVehicle", "coming_frame", "extents", "separation", "turns"]
 
@@ -126,8 +127,7 @@ def coming_frame(
     turned: tuple[float, float],
     size: Footprint,
     ends: tuple[float, float, float, float],
-    left: float,
-    right: float,
+    sides: tuple[float, float],
     reach: float,
     dt: float,
 ) -> float:
@@ -142,11 +142,11 @@ def coming_frame(
     ----------
     state : road state of the ego, (4,). turned : sine and cosine of its heading. size : its footprint.
     ends : least s of the other's body now and a frame later, and greatest s now and a frame later [m].
-    left, right : lateral extents of the other, its own lateral motion included [m].
+    sides : lateral extents of the other, its own lateral motion included [m].
     reach : half the length that it covers along the road [m]. dt : frame [s].
     """
     s, r, v, sin, cos = state[0], state[1], state[3], turned[0], turned[1]
-    low, high = left - r, right - r
+    low, high = sides[0] - r, sides[1] - r
     half, side = 0.5 * size.length + size.bare_along, 0.5 * size.width + size.bare_across
     ahead = (ends[0] - s) * cos + min(low * sin, high * sin) - half
     ahead -= max(v * dt - max(ends[1] - ends[0], 0.0) * cos, 0.0)
@@ -209,26 +209,24 @@ def _front(
 
 @kernel_inline
 def separation(
-    path: FloatArray,
-    turned: FloatArray,
+    plan: PlannedPath,
     ego: PathExtents,
     bounds: FloatArray,
     size: Footprint,
     other: UnobligatedVehicle,
     rear: FloatArray,
     duty: FollowerResponse,
-    front: FloatArray,
 ) -> tuple[float, int]:
-    """Least separation of a path (K, 4) from a vehicle without a distance obligation [m], and the first frame in which
+    """Least separation of a path from a vehicle without a distance obligation [m], and the first frame in which
     it is negative, or K. NaN and 0 for a vehicle that is not finite: `rear` is cumulative, so that its last frame shows
     it.
 
     Parameters
     ----------
-    turned, ego, bounds : `turns` and `extents` of the path. size : the ego's footprint. other : the vehicle.
-    rear : least s of its body after each frame, (at least K,) [m]. duty : follower response model.
-    front : buffer, (at least K,).
+    plan : the path. ego, bounds : its `extents`; `bounds[4]` is a buffer. size : the ego's footprint.
+    other : the vehicle. rear : least s of its body after each frame, (at least K,) [m]. duty : follower response model.
     """
+    path, turned, front = plan.path, plan.turned, bounds[4]
     frames, left, right, behind, dt = path.shape[0], other.left, other.right, other.behind, duty.dt
     since = other.since
     known = math.isfinite(left + right + rear[frames - 1])
@@ -253,7 +251,7 @@ def separation(
         # The frame after the last is not judged: an ego that brakes stands by then.
         if ego.turned and k < frames - 1 and not abs(turned[0, k]) < _STRAIGHT:
             ends, heading = (rear[k], rear[k + 1], front[k], front[k + 1]), (turned[0, k], turned[1, k])
-            apart = min(apart, coming_frame(path[k], heading, size, ends, left, right, other.length, dt))
+            apart = min(apart, coming_frame(path[k], heading, size, ends, (left, right), other.length, dt))
         least = min(least, apart)
         if apart < 0:
             first = min(first, k)

@@ -8,26 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from dynamics.compiled import compiled
-from dynamics.state import BoolArray, FloatArray, IntArray
+from dynamics.state import FloatArray, IntArray
 from dynamics.traffic.tables import Bodies, Motion
 from shield.certificate.road.clauses.cut_in import CUT_IN_DURATION
+from shield.certificate.road.clauses.footprint import Footprint
+from shield.certificate.road.clauses.inputs import LaneState
 from shield.certificate.road.clauses.others import RoadVehicles
+from shield.certificate.road.clauses.parameters import ClauseSettings
 
-__all__ = ["ClauseWorkspace", "LaneState", "SceneVehicles", "new_clause_workspace"]
-
-
-class LaneState(NamedTuple):
-    """Lanes of a scene.
-
-    Attributes
-    ----------
-    centers : (lanes,) [m]. owned : whether the ego owns each, (lanes,).
-    visible : number of frames for which it has been visible in each, (lanes,).
-    """
-
-    centers: FloatArray
-    owned: BoolArray
-    visible: IntArray
+__all__ = ["ClauseScene", "ClauseWorkspace", "SceneVehicles", "new_clause_workspace"]
 
 
 class SceneVehicles(NamedTuple):
@@ -46,6 +35,26 @@ class SceneVehicles(NamedTuple):
     bodies: Bodies
     motion: Motion
     others: RoadVehicles
+
+
+class ClauseScene(NamedTuple):
+    """A scene as the clauses read it.
+
+    Attributes
+    ----------
+    state : road state of the ego now, (4,). around, ground : the other vehicles and the lanes.
+    slipping : candidates for a cut-in, (c, 4), see `find_cut_ins`.
+    foot : footprint of the ego. settings : of the clauses.
+    table : of the road, see `dynamics.vehicle.rollout_kernels`.
+    """
+
+    state: FloatArray
+    around: SceneVehicles
+    ground: LaneState
+    slipping: FloatArray
+    foot: Footprint
+    settings: ClauseSettings
+    table: FloatArray
 
 
 class ClauseWorkspace(NamedTuple):

@@ -13,9 +13,17 @@ from hypothesis import strategies as st
 
 from dynamics.compiled import compiled
 from shield.certificate.road.clauses.edge import lanes_touched, verdicts
-from shield.certificate.road.clauses.entering import joins, lateral_extents, leaves_sight, mark_entrants, neighbours
+from shield.certificate.road.clauses.entering import (
+    LateralExtents,
+    joins,
+    lateral_extents,
+    leaves_sight,
+    mark_entrants,
+    neighbours,
+)
 from shield.certificate.road.clauses.followers import updated_lanes
 from shield.certificate.road.clauses.footprint import Footprint
+from shield.certificate.road.clauses.inputs import LaneDistances, LaneState, PlannedPath
 from shield.certificate.road.clauses.others import RoadVehicles
 from shield.certificate.road.clauses.separation import (
     FollowerResponse,
@@ -64,10 +72,11 @@ def traffic(rng, n, m, frames):
 def separation_of(path, size, other, rear, duty):
     """Of a path from one vehicle; NaN and 0 where the path is not finite."""
     frames = path.shape[0]
-    turned, bounds, front = np.empty((2, frames)), np.empty((4, frames)), np.empty(frames)
+    turned, bounds = np.empty((2, frames)), np.empty((5, frames))
     turns(path, turned)
     ego = extents(path, turned, size, duty.dt, bounds)
-    return separation(path, turned, ego, bounds, size, other, rear, duty, front) if ego.finite else (np.nan, 0)
+    plan = PlannedPath(path, turned, 0, 0)
+    return separation(plan, ego, bounds, size, other, rear, duty) if ego.finite else (np.nan, 0)
 
 
 def separations_of(paths, t):
@@ -187,20 +196,20 @@ def test_lanes_touched_are_those_of_whole_arrays(seed, n, frames):
 def test_a_lane_is_owned_from_the_stored_plan_on_until_the_ego_has_left_it():
     nobody = np.zeros((0, 0), dtype=bool)
     none = np.zeros(0, dtype=bool)
-    marks = np.zeros(3, dtype=np.intp), none, none, nobody
-    near = 3.0, 2.1, 3.1
-    visible, owned, _ = updated_lanes(0.1, CENTERS, 1, *near, -1, *marks)
+    near = LaneDistances(3.0, 2.1, 3.1)
+    marks = LaneState(CENTERS, none, np.zeros(3, dtype=np.intp))
+    visible, owned, _ = updated_lanes(0.1, 1, near, -1, marks, none, nobody)
     assert list(owned) == [True, False, False]
     assert list(visible) == [1, 0, 0]
-    _, owned, _ = updated_lanes(1.5, CENTERS, 1, *near, 1, visible, owned, none, nobody)
+    _, owned, _ = updated_lanes(1.5, 1, near, 1, LaneState(CENTERS, owned, visible), none, nobody)
     assert list(owned) == [True, False, False]  # the stored plan stops in lane 1, which is not touched yet
-    visible, owned, _ = updated_lanes(2.0, CENTERS, 2, *near, 1, visible, owned, none, nobody)
+    visible, owned, _ = updated_lanes(2.0, 2, near, 1, LaneState(CENTERS, owned, visible), none, nobody)
     assert list(owned) == [True, True, False]
     assert list(visible) == [3, 2, 0]
-    _, owned, _ = updated_lanes(3.0, CENTERS, 1, *near, 1, visible, owned, none, nobody)
+    _, owned, _ = updated_lanes(3.0, 1, near, 1, LaneState(CENTERS, owned, visible), none, nobody)
     assert list(owned) == [True, True, False]  # a corner of it is in lane 0 still
     for stored in (0, 1):
-        _, last, _ = updated_lanes(3.9, CENTERS, 1, *near, stored, visible, owned, none, nobody)
+        _, last, _ = updated_lanes(3.9, 1, near, stored, LaneState(CENTERS, owned, visible), none, nobody)
         assert list(last) == [stored == 0, True, False]  # a plan to stop there keeps it
 
 
@@ -224,14 +233,16 @@ def entering(others, gains, before=None, visible=(0, 0, 0), stored=-1, entered=-
     asked = np.empty_like(gains)
     plan = (stored, entered)
     neighbours(others, CENTERS, 4.0, before, np.array(visible), plan, asked)
-    mark_entrants(others, gains & asked, CENTERS, before, np.array(visible), plan, 3, 30)
+    lanes = LaneState(CENTERS, np.zeros(3, dtype=bool), np.array(visible))
+    mark_entrants(others, gains & asked, lanes, before, plan, 3, 30)
     return others
 
 
 def sides(path, lane, fail, others, r=0.0):
     m = len(others.lane)
     low, high, home = np.empty(m), np.empty(m), np.empty(m, dtype=np.intp)
-    lateral_extents(lane, fail, np.arange(m), others, np.full(m, 2.0), CENTERS, 0.25, low, high, home)
+    out = LateralExtents(low, high, home)
+    lateral_extents((lane, fail), np.arange(m), others, np.full(m, 2.0), CENTERS, 0.25, out)
     for entered in (lane, fail):
         if leaves_sight(r, path[0], CENTERS[entered], 3.0) < path.shape[1]:
             for j in range(m):
@@ -289,7 +300,7 @@ def test_bodies_apart_in_the_coming_frame_do_not_collide_in_the_simulator(seed):
     ends += corners[:, 0].max() + slack[2], s.max() + slack[2] + slack[3]
     state = np.array([0.0, 0.0, ego.heading, ego.speed])
     turned = math.sin(ego.heading), math.cos(ego.heading)
-    apart = coming_frame(state, turned, size, ends, r.min(), r.max(), 0.5 * np.hypot(length, width), dt)
+    apart = coming_frame(state, turned, size, ends, (r.min(), r.max()), 0.5 * np.hypot(length, width), dt)
     _, will, _ = are_polygons_intersecting(ego.polygon(), corners, ego.velocity * dt, move)
     assert apart == np.inf or apart < 0
     if apart == np.inf:

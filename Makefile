@@ -41,7 +41,7 @@ test: lint
 	$(BIN)/pytest -n auto
 
 test-slow: $(STAMP)
-	HYPOTHESIS_PROFILE=explore $(BIN)/pytest -n auto -m slow
+	HYPOTHESIS_PROFILE=explore $(BIN)/pytest -n auto -m "slow and not ray"
 
 # The replay page in Chromium: apt-get install chromium chromium-driver
 test-browser: $(STAMP)

@@ -105,7 +105,6 @@ def same(one, two):
 @pytest.fixture
 def cluster():
     """Two nodes of one core each on this machine."""
-    pytest.importorskip("ray", reason="Ray is not installed: `make ray` installs it and runs this")
     import ray
     from ray.cluster_utils import Cluster
 
@@ -116,6 +115,7 @@ def cluster():
     made.shutdown()
 
 
+@pytest.mark.ray
 def test_a_node_that_is_lost_loses_and_doubles_nothing(cluster, tmp_path):
     """One of the two nodes is killed half-way: the rows are those of one process."""
     lost = []
@@ -138,6 +138,7 @@ def test_a_node_that_is_lost_loses_and_doubles_nothing(cluster, tmp_path):
     same(found, asked(tmp_path / "one").run(progress=False).episodes)
 
 
+@pytest.mark.ray
 def test_an_error_in_a_task_is_raised_in_the_driver(cluster, tmp_path):
     def fail(number):
         raise ConfigError(f"number {number} is not valid")
@@ -146,6 +147,7 @@ def test_an_error_in_a_task_is_raised_in_the_driver(cluster, tmp_path):
         list(RayTasks(cluster.address).spread(fail, [(3,)]))
 
 
+@pytest.mark.ray
 @pytest.mark.parametrize("moments", [2, *later(10)])
 def test_a_driver_that_is_killed_loses_and_doubles_nothing(cluster, moments, tmp_path):
     """`kill -9` of the command that hands tasks to the cluster, at random moments."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,41 @@ _DEPARTURES = ("we", "sx"), ("sx", "se"), ("ee", "nx"), ("nx", "ne"), ("eer", "e
 """The roads of roundabout-generic on which traffic is placed."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """A row of the tables."""
+
+    lane: int
+    place: float
+    speed: float
+    _: KW_ONLY
+    ego: bool = False
+    law: int = AT
+    many: int = 1
+    tries: int = 1
+    lanes: int = 1
+    drawn: int = STEADY
+    spreads: tuple[float, float] = (0.0, 0.0)
+    headed: bool = True
+    facing: float = _NAN
+    wanted: float = _NAN
+    goals: tuple[int, int] = (-1, 1)
+    varies: bool = False
+    changes: bool = True
+    bound_for: int = -1
+
+    @property
+    def numbers(self) -> list[float]:
+        """The row of `PlacementTables.tables` with NUMBERS columns."""
+        return [self.place, self.spreads[0], self.speed, self.spreads[1], self.facing, self.wanted]
+
+    @property
+    def integers(self) -> list[int]:
+        """The row of `PlacementTables.tables` with INTEGERS columns."""
+        drawing = [0 if self.ego else 1, self.law, self.many, self.tries, self.lane, self.lanes, self.drawn]
+        return [*drawing, int(self.headed), *self.goals, int(self.varies), int(self.changes), self.bound_for]
+
+
 @dataclass(frozen=True)
 class PlacementTables:
     """The tables of `placing.Scene` that differ between environments.
@@ -38,7 +73,7 @@ class PlacementTables:
     apart, along, odds, packed : as of `Scene`.
     """
 
-    rows: list[tuple[list[float], list[int]]]
+    rows: list[_Row]
     goals: tuple[str, ...] = ()
     roads: Sequence[tuple[int, int]] = ((0, 0),)
     stretches: Mapping[int, tuple[float, float]] = field(default_factory=dict)
@@ -49,43 +84,17 @@ class PlacementTables:
 
     def tables(self) -> tuple[FloatArray, IntArray]:
         """The rows, (n, NUMBERS) and (n, INTEGERS)."""
-        numbers = np.array([numbers for numbers, _ in self.rows], float).reshape(-1, NUMBERS)
-        return numbers, np.array([integers for _, integers in self.rows], np.int64).reshape(-1, INTEGERS)
-
-
-def _row(
-    lane: int,
-    place: float,
-    speed: float,
-    *,
-    ego: bool = False,
-    law: int = AT,
-    many: int = 1,
-    tries: int = 1,
-    lanes: int = 1,
-    drawn: int = STEADY,
-    spreads: tuple[float, float] = (0.0, 0.0),
-    headed: bool = True,
-    facing: float = _NAN,
-    wanted: float = _NAN,
-    goals: tuple[int, int] = (-1, 1),
-    varies: bool = False,
-    changes: bool = True,
-    bound_for: int = -1,
-) -> tuple[list[float], list[int]]:
-    """A row of the tables."""
-    numbers = [place, spreads[0], speed, spreads[1], facing, wanted]
-    whose = [0 if ego else 1, law, many, tries, lane, lanes, drawn, int(headed), *goals]
-    return numbers, [*whose, int(varies), int(changes), bound_for]
+        numbers = np.array([row.numbers for row in self.rows], float).reshape(-1, NUMBERS)
+        return numbers, np.array([row.integers for row in self.rows], np.int64).reshape(-1, INTEGERS)
 
 
 def _merge(base: Any, numbers: Mapping[LaneKey, int]) -> PlacementTables:
     """Vehicles of `MergeEnv`."""
     first = numbers["a", "b", 0]
-    rows = [_row(numbers["a", "b", 1], 30.0, 30.0, ego=True, headed=False)]
+    rows = [_Row(numbers["a", "b", 1], 30.0, 30.0, ego=True, headed=False)]
     for place, speed in ((90.0, 29.0), (70.0, 31.0), (5.0, 31.5)):
-        rows.append(_row(first, place, speed, lanes=2, drawn=UNIFORM, spreads=(5.0, 1.0), headed=False))
-    return PlacementTables([*rows, _row(numbers["j", "k", 0], 110.0, 20.0, headed=False, wanted=30.0)])
+        rows.append(_Row(first, place, speed, lanes=2, drawn=UNIFORM, spreads=(5.0, 1.0), headed=False))
+    return PlacementTables([*rows, _Row(numbers["j", "k", 0], 110.0, 20.0, headed=False, wanted=30.0)])
 
 
 def _merge_generic(base: Any, numbers: Mapping[LaneKey, int]) -> PlacementTables:
@@ -97,9 +106,9 @@ def _merge_generic(base: Any, numbers: Mapping[LaneKey, int]) -> PlacementTables
     scattered: dict[str, Any] = {"law": SCATTERED, "many": max(0, int(config["vehicles_count"])), "tries": 10}
     return PlacementTables(
         [
-            _row(lanes[-1], 30.0, 30.0, ego=True, headed=False),
-            _row(lanes[0], 0.0, 30.0, drawn=UNIFORM, spreads=(0.0, 2.0), headed=False, **scattered),
-            _row(numbers["j", "k", 0], 60.0, 20.0, headed=False, wanted=30.0),
+            _Row(lanes[-1], 30.0, 30.0, ego=True, headed=False),
+            _Row(lanes[0], 0.0, 30.0, drawn=UNIFORM, spreads=(0.0, 2.0), headed=False, **scattered),
+            _Row(numbers["j", "k", 0], 60.0, 20.0, headed=False, wanted=30.0),
         ],
         roads=[(lanes[0], count)],
         stretches={lane: (0.0, float(length)) for lane in lanes},
@@ -116,11 +125,11 @@ def _roundabout(base: Any, numbers: Mapping[LaneKey, int]) -> PlacementTables:
     drawn: dict[str, Any] = {"drawn": NORMAL, "spreads": (2.0, 2.0), "varies": True}
     return PlacementTables(
         [
-            _row(numbers["ser", "ses", 0], 125.0, 8.0, ego=True, facing=140.0, goals=(3, 1)),
-            _row(numbers["we", "sx", 1], 5.0, 16.0, goals=fixed, **drawn),
-            _row(numbers["we", "sx", 0], 20.0, 16.0, goals=anywhere, **drawn),
-            _row(numbers["we", "sx", 0], -20.0, 16.0, goals=anywhere, **drawn),
-            _row(numbers["eer", "ees", 0], 50.0, 16.0, goals=anywhere, **drawn),
+            _Row(numbers["ser", "ses", 0], 125.0, 8.0, ego=True, facing=140.0, goals=(3, 1)),
+            _Row(numbers["we", "sx", 1], 5.0, 16.0, goals=fixed, **drawn),
+            _Row(numbers["we", "sx", 0], 20.0, 16.0, goals=anywhere, **drawn),
+            _Row(numbers["we", "sx", 0], -20.0, 16.0, goals=anywhere, **drawn),
+            _Row(numbers["eer", "ees", 0], 50.0, 16.0, goals=anywhere, **drawn),
         ],
         goals,
     )
@@ -139,8 +148,8 @@ def _roundabout_generic(base: Any, numbers: Mapping[LaneKey, int]) -> PlacementT
     scattered: dict[str, Any] = {"law": SCATTERED, "many": max(0, int(config["vehicles_count"])), "tries": 10}
     return PlacementTables(
         [
-            _row(numbers["ser", "ses", 0], own, 8.0, ego=True, goals=(4, 1)),
-            _row(0, 0.0, 14.0, goals=aims, **drawn, **scattered),
+            _Row(numbers["ser", "ses", 0], own, 8.0, ego=True, goals=(4, 1)),
+            _Row(0, 0.0, 14.0, goals=aims, **drawn, **scattered),
         ],
         goals,
         roads=roads,
@@ -160,8 +169,8 @@ def _exit(base: Any, numbers: Mapping[LaneKey, int]) -> PlacementTables:
     queued: dict[str, Any] = {"lanes": count, "goals": (0, 1), "changes": False}
     return PlacementTables(
         [
-            _row(first, float(config["ego_spacing"]), 25.0, ego=True, law=QUEUE),
-            _row(first, spacing, _NAN, law=QUEUE, many=many, **queued),
+            _Row(first, float(config["ego_spacing"]), 25.0, ego=True, law=QUEUE),
+            _Row(first, spacing, _NAN, law=QUEUE, many=many, **queued),
         ],
         ("3",),
         odds=odds.tolist(),
@@ -173,10 +182,10 @@ def _two_way(base: Any, numbers: Mapping[LaneKey, int]) -> PlacementTables:
     """Vehicles of `TwoWayEnv`."""
     own, oncoming = numbers["a", "b", 1], numbers["b", "a", 0]
     drawn: dict[str, Any] = {"drawn": NORMAL, "changes": False}
-    rows = [_row(own, 30.0, 30.0, ego=True, headed=False)]
-    rows += [_row(own, 70.0 + 40.0 * k, 24.0, spreads=(10.0, 2.0), **drawn) for k in range(3)]
+    rows = [_Row(own, 30.0, 30.0, ego=True, headed=False)]
+    rows += [_Row(own, 70.0 + 40.0 * k, 24.0, spreads=(10.0, 2.0), **drawn) for k in range(3)]
     far = {"spreads": (10.0, 5.0), "bound_for": oncoming, **drawn}
-    return PlacementTables(rows + [_row(oncoming, 200.0 + 100.0 * k, 20.0, **far) for k in range(2)])
+    return PlacementTables(rows + [_Row(oncoming, 200.0 + 100.0 * k, 20.0, **far) for k in range(2)])
 
 
 def _u_turn(base: Any, numbers: Mapping[LaneKey, int]) -> PlacementTables:
@@ -191,8 +200,8 @@ def _u_turn(base: Any, numbers: Mapping[LaneKey, int]) -> PlacementTables:
         ((*back, 1), 30.0, 5.5),
     ]
     drawn: dict[str, Any] = {"drawn": NORMAL, "spreads": (2.0, 2.0), "goals": (0, 1)}
-    rows = [_row(numbers[*there, 0], 0.0, 16.0, ego=True, headed=False, goals=(0, 1))]
-    rows += [_row(numbers[lane], s, speed, varies=k == 0, **drawn) for k, (lane, s, speed) in enumerate(traffic)]
+    rows = [_Row(numbers[*there, 0], 0.0, 16.0, ego=True, headed=False, goals=(0, 1))]
+    rows += [_Row(numbers[lane], s, speed, varies=k == 0, **drawn) for k, (lane, s, speed) in enumerate(traffic)]
     return PlacementTables(rows, ("d",))
 
 

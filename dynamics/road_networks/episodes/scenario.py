@@ -225,7 +225,7 @@ def _ways(roads: Any, network: Network, lanes: Mapping[tuple[str, str, int], int
 def _bodies(base: Any, places: PlacementTables | None) -> int:
     """Greatest number of bodies."""
     if places is not None:
-        return sum(integers[2] for _, integers in places.rows) + len(base.road.objects)
+        return sum(row.many for row in places.rows) + len(base.road.objects)
     comers = math.ceil(base.config["duration"] * base.config["policy_frequency"]) + 2
     return int(max(base.config["initial_vehicle_count"], 1) + 1 + min(comers, _MOST))
 

@@ -243,7 +243,7 @@ def test_episodes_of_seeds_are_those_of_plain_runs(setting):
 
 
 def test_an_episode_lost_at_the_reset_is_no_find():
-    """A leader stands 2.5 m ahead, 7 m/s slower (see docs/lab/exact.md)."""
+    """A leader stands 2.5 m ahead, 7 m/s slower (see docs/lab/simulated-traffic.md)."""
     assert Many(get_setting("two-way"), "faster", EXACT).run_seeds([410026, 0]).lost.tolist() == [True, False]
 
 

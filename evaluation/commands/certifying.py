@@ -145,10 +145,7 @@ def rare_command(options: RareOptions) -> None:
         moves = "" if np.isnan(level.accepted) else f"{level.accepted:.0%}"
         table.add_row(str(k + 1), f"{level.bound:.3f}", f"{level.probability:.3f}", moves)
     _out.print(table)
-    _out.print(
-        f"probability {found.probability:.2e} (coefficient of variation at least {found.variation:.0%}) "
-        f"from {found.evaluations} episodes"
-    )
+    _print_probability(found.probability, found.variation, found.evaluations)
 
 
 def _rare_through(spec: DriverSpec, paths: int, seed: int, jobs: int) -> None:
@@ -160,10 +157,15 @@ def _rare_through(spec: DriverSpec, paths: int, seed: int, jobs: int) -> None:
     for k, (level, dropped) in enumerate(zip(found.levels, found.dropped, strict=True)):
         table.add_row(str(k + 1), f"{-level:.3f}", str(dropped))
     _out.print(table)
-    said = f"coefficient of variation at least {found.variation:.0%}"
-    if found.probability == 0:
-        said = "none came nearer than the rest; have more --samples"
-    _out.print(f"probability {found.probability:.2e} ({said}) from {found.evaluations} episodes")
+    _print_probability(found.probability, found.variation, found.evaluations)
+
+
+def _print_probability(probability: float, variation: float, evaluations: int) -> None:
+    """Print an estimate. An event that was not reached has no coefficient of variation."""
+    said = f"coefficient of variation at least {variation:.0%}"
+    if probability == 0:
+        said = "the event was not reached; raise --samples"
+    _out.print(f"probability {probability:.2e} ({said}) from {evaluations} episodes")
 
 
 def attack_command(

@@ -58,7 +58,7 @@ class Split:
     Attributes
     ----------
     probability : the estimate; 0 if all remaining paths had the same level.
-    variation : coefficient of variation for independent paths, a lower bound.
+    variation : coefficient of variation for independent paths, a lower bound; infinite if the event was not reached.
     evaluations : number of paths driven.
     levels : Z of each round.
     dropped : K of each round.

@@ -63,7 +63,8 @@ class Subset:
     Attributes
     ----------
     probability : the estimate.
-    variation : its coefficient of variation, with the correlation within chains but not between levels: a lower bound.
+    variation : its coefficient of variation, with the correlation within chains but not between levels: a lower
+        bound; infinite if the event was not reached.
     evaluations : number of evaluations of the performance.
     levels : the levels, in order.
     points, performance : samples of the last level, (n, d) and (n,), the worst first.
@@ -132,7 +133,8 @@ def subset_simulation(
         probability *= within
         variance += _variance(inside[of_chains], within)
         if last:
-            return Subset(probability, float(np.sqrt(variance)), evaluations, tuple(levels), points, g)
+            variation = float(np.sqrt(variance)) if probability > 0 else np.inf
+            return Subset(probability, variation, evaluations, tuple(levels), points, g)
         # The best samples start the chains: they have the conditional distribution of this level already.
         x, at = points[:chains].copy(), g[:chains].copy()
         runs_x, runs_g, moved = [x.copy()], [at.copy()], 0

@@ -43,7 +43,7 @@ from shield.supported_environments import refuse_simulated
 
 __all__ = ["NetworkFilter"]
 
-_OF_A_DECISION = ("_wish", "_left", "_ready", "_others", "_who", "_trial")
+_OF_A_DECISION = ("_wish", "_left", "_ready", "_others", "_identities", "_trial")
 """Attributes that a decision writes and its frames read."""
 
 

@@ -135,8 +135,11 @@ class FramePipeline:
             yield JudgedPlan(Tier.GOVERNED, Reason.UNVERIFIED, each)
 
     def fall_back(self, now: ObservedScene, proposal: Target, tried: list[JudgedPlan[int]]) -> JudgedPlan[int]:
-        """The stored plan, as long as it is clear of the compliant vehicles. After a violation, the plan that stays
-        clear of the violators longest among those that are clear of the compliant vehicles."""
+        """Without a violation, the stored plan, also if it is not clear any more.
+
+        After a violation, if the stored plan is clear of the compliant vehicles: the plan that stays clear of the
+        violators longest among those that are, or else the stored plan. Otherwise the least bad plan, see `_evade`.
+        """
         violated, reason = now.memory.watch.violated, Reason.NO_SAFE_PLAN
         kept = None if now.memory.stored is None else now.fail_safe(lawful=True)
         if kept is not None and (kept.margin >= -ROUNDING or not violated):

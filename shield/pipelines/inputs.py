@@ -46,7 +46,8 @@ class InputPipeline:
     actuators : the policy's actuators.
     hold : simulation frames for which each action is held, if the shield acts through the actions only. Without it, the
         shield acts at every frame, with throttle, brake (`config.braking`) and wheel, whatever the actuators are.
-    predictive : whether the predictive filter is part of the repair.
+    predictive : whether the predictive filter is part of the repair; ignored with `hold` unless both throttle and
+        steering are actions.
     model : model of the predictive filter; the bicycle by default. Its plans are verified with the bicycle.
     norm : distance of the nearest input, one of `shield.config.NORMS`; `config.norm` by default.
 
@@ -134,8 +135,11 @@ class InputPipeline:
                 yield replace(self.plan(now, found), predicted=planned)
 
     def fall_back(self, now: ObservedScene, proposal: FloatArray, tried: list[JudgedPlan[int]]) -> JudgedPlan[int]:
-        """The stored plan, as long as it is clear of the compliant vehicles. After a violation, the plan that stays
-        clear of the violators longest among those that are clear of the compliant vehicles."""
+        """Without a violation, the stored plan, also if it is not clear any more.
+
+        After a violation, if the stored plan is clear of the compliant vehicles: the plan that stays clear of the
+        violators longest among those that are, or else the stored plan. Otherwise the least bad input of the search.
+        """
         violated, reason, lane = now.memory.watch.violated, Reason.NO_SAFE_PLAN, now.memory.stored
         if lane is not None:
             law = self.execution.law(now.scene, lane)[None]

@@ -52,9 +52,9 @@ NEAR, FAR, LOW, HIGH, BODY_HALF, START, CENTRED_FROM, CENTRED_HALF, FRONT = rang
 """Columns of the strips' numbers [m].
 
 NEAR, FAR: least and greatest distance to the start of the lane. LOW, HIGH: the band across the lane.
-HALF: half of the body's extent along the lane, anywhere in the band. START: least s of the centre of the body.
-BACK: distance after which a vehicle that entered from beside the lanes is back at their centre; KEEP: half of the band
-in which it is then.
+BODY_HALF: half of the body's extent along the lane, anywhere in the band. START: least s of the centre of the body.
+CENTRED_FROM: distance after which a vehicle that entered from beside the lanes is back at their centre; CENTRED_HALF:
+half of the band in which it is then.
 FRONT: how far the front is ahead of the centre, the greater of its present value and `body_front`. A vehicle that has
 to wait stays behind by this distance.
 """

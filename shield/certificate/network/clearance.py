@@ -4,9 +4,9 @@ Notation
 --------
 As in `dynamics.road_networks.reachable.strips`: a *reachable interval* is a strip, a row of `NetworkVehicles.marks` and
 `NetworkVehicles.numbers`. The ego's footprint with its buffer covers s from `box[0]` to `box[1]` of a lane, and r from
-`box[2]` to `box[3]`. A vehicle that has driven x towards that lane is within its band, at s between x - FAR - HALF and
-x - NEAR + HALF. The *separation* is the greater of the gaps along and across the lane. It is negative where the
-footprints overlap in both.
+`box[2]` to `box[3]`. A vehicle that has driven x towards that lane is within its band, at s between x - FAR - BODY_HALF
+and x - NEAR + BODY_HALF. The *separation* is the greater of the gaps along and across the lane. It is negative where
+the footprints overlap in both.
 
 Followers. A vehicle that approaches from behind in the ego's lane brakes for the ego at
 `NetworkFollowerResponse.braking` or harder. It begins `NetworkFollowerResponse.reaction` frames after the ego has

@@ -69,6 +69,7 @@ def test_a_common_event_is_counted():
 def test_an_impossible_event_has_probability_zero():
     found = subset_simulation(lambda x: 1.0 + np.abs(x[:, 0]), 2, 100, seed=0, most=500)
     assert found.probability == 0.0
+    assert found.variation == np.inf
     assert found.performance[0] < 1.01
 
 

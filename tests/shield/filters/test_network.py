@@ -22,7 +22,7 @@ from shield import Shield, ShieldConfig, ShieldedEnv
 from shield.certificate.network.monitor import NetworkRule
 from shield.decision import Reason, Tier
 from shield.errors import ConfigError
-from shield.filters.network import NetworkFilter
+from shield.filters.network import _OF_A_DECISION, NetworkFilter
 
 ROADS = ("roundabout-v1", "merge-v1", "exit-v0", "two-way-v0", "u-turn-v1", "intersection-v2")
 STEPS = 15
@@ -288,6 +288,12 @@ def test_masks_on_a_network_hold_the_actions_that_pass():
             assert info["shield"]["tier"] == Tier.PASSED
         if terminated or truncated:
             break
+
+
+def test_masks_restore_attributes_that_exist():
+    env = shielded("roundabout-v1", 2)
+    env.step(1)
+    assert vars(env.filter).keys() >= set(_OF_A_DECISION)
 
 
 def test_the_worst_case_has_the_settings_for_its_traffic():

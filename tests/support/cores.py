@@ -25,10 +25,12 @@ __all__ = ["ContinuousCore", "LotCore", "MetaCore", "ShieldCore", "nowhere"]
 
 def nowhere(judged: Any) -> Any:
     """`judged`, for which it is not known where the others can be: their states are NaN."""
-    place = list(signature(judged.py_func).parameters).index("states")
+    place = list(signature(judged.py_func).parameters).index("scene")
 
     def unknown(*args: Any) -> Any:
-        return judged(*args[:place], args[place] * np.nan, *args[place + 1 :])
+        scene = args[place]
+        vehicles = scene.vehicles._replace(states=scene.vehicles.states * np.nan)
+        return judged(*args[:place], scene._replace(vehicles=vehicles), *args[place + 1 :])
 
     return unknown
 

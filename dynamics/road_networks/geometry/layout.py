@@ -26,6 +26,7 @@ __all__ = [
     "IDS",
     "LANE_HEADING",
     "LATERAL_SPEED",
+    "LEADS_BACK",
     "LEAST_X",
     "LEAST_Y",
     "LEAVES",
@@ -88,10 +89,13 @@ SHAPE, ROAD, ID, COUNT, FIRST, TO, FORBIDDEN, PRIORITY, ENDS, LEAVES, CROSSES = 
 
 ROAD: the road of the lane; ID: the lane's index in it; COUNT: number of its lanes; FIRST: its first lane; TO: the node
 that it leads to.
-FORBIDDEN, PRIORITY: as in highway-env. ENDS: no road continues it, or only one that leads back.
+FORBIDDEN, PRIORITY: as in highway-env. ENDS: 1 if no road continues it, `LEADS_BACK` if
+only roads that lead back do.
 LEAVES: vehicles vanish near its end. CROSSES: it leads from a node where roads part to a node where roads join, so that
 ways cross there.
 """
+LEADS_BACK = 2
+"""Value of `ENDS` where only roads that lead back continue a lane."""
 IDS = 11
 
 STRAIGHT, SINE, CIRCULAR = range(3)

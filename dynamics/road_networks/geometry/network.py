@@ -26,6 +26,7 @@ from dynamics.road_networks.geometry.layout import (
     ID,
     IDS,
     LANE_HEADING,
+    LEADS_BACK,
     LEAST_X,
     LEAVES,
     MOST_X,
@@ -111,7 +112,8 @@ def network_of(network: Any, connected: bool = False, leaves: Leaves | None = No
             ids[n, [SHAPE, FORBIDDEN, PRIORITY]] = _SHAPES[type(lane)], bool(lane.forbidden), lane.priority
             ids[n, LEAVES] = leaves is not None and leaves((a, b, k))
             ids[n, CROSSES] = _crosses(graph, a, b)
-            ids[n, ENDS] = all(_leads_back(lane, each) for each in graph.get(b, {}).values())
+            if all(_leads_back(lane, each) for each in graph.get(b, {}).values()):
+                ids[n, ENDS] = LEADS_BACK if graph.get(b) else 1
     outs = [[edges[name, to] for to in graph.get(name, {})] for name in nodes]
     linked = [_linked(graph, numbers, key) if connected else [] for key in numbers]
     return Network(lanes, ids, roads, _table(outs), _pairs(linked), _near(lanes))

@@ -18,7 +18,7 @@ from shield.certificate.simulated.search import (
     finish_action,
     repeats,
 )
-from shield.certificate.simulated.traffic import ego_in
+from shield.certificate.simulated.traffic import ego_in, on_road
 from shield.certificate.simulated.workspace import ANY, NOBODY, LaneSpeedNodes, LaneSpeedTarget, TrafficSearch
 
 __all__ = ["best_plan", "clear_plan", "closest_plan", "lane_speed_target_of", "stopping_cost"]
@@ -48,8 +48,11 @@ def stopping_cost(search: TrafficSearch) -> LaneSpeedTarget:
 @kernel_no_refcount
 def _bound_to_lose(search: TrafficSearch, k: int, decisions: int, wish: float) -> float:
     """Lower bound on the distance that future k loses against a speed in the next `decisions` decisions [m]. It is the
-    loss on an empty road, with the most favourable target speed at each decision."""
+    loss on an empty road, with the most favourable target speed at each decision; 0 where the ego's
+    road leads back."""
     rules, f, ego = search.rules, search.futures.f[k], ego_in(search, k)
+    if on_road(search, k)[1]:
+        return 0.0
     speed, target, dt, lost = f[SPEED, ego], f[TARGET_SPEED, ego], rules.times[0], 0.0
     up = speed < wish
     for _ in range(decisions):

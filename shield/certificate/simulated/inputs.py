@@ -99,10 +99,13 @@ def _after(search: TrafficSearch, present: TrafficSearch, tail: BackupSequence, 
     hold(search, 0, throttle, wheel)
     frame(search, 0, sorted_in(search, 0))
     ego = ego_in(search, 0)
-    if futures.g[0, CRASHED, ego] != 0 or not on_road(search, 0):
+    on, turns_back = on_road(search, 0)
+    if futures.g[0, CRASHED, ego] != 0 or not on:
         return -np.inf
     least = clearance(futures, 0, ego, search.bounds, search.row)
-    return min(least, _goes_on(search, tail)) if least >= 0 else -np.inf
+    if turns_back or least < 0:
+        return least if least >= 0 else -np.inf
+    return min(least, _goes_on(search, tail))
 
 
 @kernel_no_refcount

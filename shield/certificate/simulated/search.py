@@ -157,10 +157,13 @@ def finish_action(search: TrafficSearch, target: int, wish: LaneSpeedTarget, flo
     futures, rules, bounds, allies = search.futures, search.rules, search.bounds, search.team.columns
     f, g, dt, ego = futures.f[target], futures.g[target], rules.times[0], ego_in(search, target)
     search.spent[0] += 1
+    if on_road(search, target)[1]:
+        return np.inf, 0.0
     level, least, lost = sorted_in(search, target), np.inf, 0.0
     for _ in range(rules.numbers[0]):
         level = frame(search, target, level)
-        if g[CRASHED, ego] != 0 or not on_road(search, target):
+        on, turns_back = on_road(search, target)
+        if g[CRASHED, ego] != 0 or not on:
             return -np.inf, lost
         least = min(least, clearance(futures, target, ego, bounds, search.row))
         for i in range(allies.shape[0]):
@@ -169,7 +172,7 @@ def finish_action(search: TrafficSearch, target: int, wish: LaneSpeedTarget, flo
             least = min(least, clearance(futures, target, allies[i], bounds, search.row))
         left, right = lanes_beside(search, target)
         lost += (abs(wish.speed - f[SPEED, ego]) + wish.left * left + wish.right * right) * dt
-        if least < floor:
+        if least < floor or turns_back:
             break
     return least, lost
 
@@ -187,7 +190,7 @@ def simulate_action(
     Returns
     -------
     least : least clearance beyond the buffer during the decision [m]; -inf after a crash, or off the road; +inf
-        without other bodies.
+        without other bodies. After the end of a road that leads back nothing is checked.
     lost : distance lost against the target command [m], including the cost of its lane.
     """
     begin_action(search, source, target, action)

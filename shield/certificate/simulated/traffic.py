@@ -10,7 +10,7 @@ from dynamics.highway_simulator import step_kernels as highways
 from dynamics.highway_simulator.lanes import on_lane
 from dynamics.highway_simulator.layout import LANE, LENGTH, TARGET, WIDTH, X, Y
 from dynamics.highway_simulator.neighbours import sort
-from dynamics.road_networks.geometry.layout import COUNT, CROSSES, FRAMES, ID
+from dynamics.road_networks.geometry.layout import COUNT, CROSSES, ENDS, FRAMES, ID, LEADS_BACK
 from dynamics.road_networks.simulation import frame_kernels as networks
 from shield.certificate.simulated.workspace import TrafficSearch
 
@@ -63,14 +63,16 @@ def _frame_network(search: TrafficSearch, k: int, level: bool) -> bool:
 
 
 @kernel_no_refcount
-def _on_highway(search: TrafficSearch, k: int) -> bool:
+def _on_highway(search: TrafficSearch, k: int) -> tuple[bool, bool]:
     f, g = search.futures.f[k], search.futures.g[k]
-    return bool(on_lane(search.rules.lanes, g[LANE, 0], f[X, 0], f[Y, 0], 0.0))
+    return on_lane(search.rules.lanes, g[LANE, 0], f[X, 0], f[Y, 0], 0.0), False
 
 
 @kernel_no_refcount
-def _on_network(search: TrafficSearch, k: int) -> bool:
-    return bool(_on_way(search.rules, search.futures.f[k], search.futures.g[k])[0])
+def _on_network(search: TrafficSearch, k: int) -> tuple[bool, bool]:
+    g = search.futures.g[k]
+    on, at_end = _on_way(search.rules, search.futures.f[k], g)
+    return on, at_end and search.rules.network.ids[g[LANE, _ego_of(g)], ENDS] == LEADS_BACK
 
 
 @kernel_inline
@@ -152,9 +154,12 @@ def frame(search: TrafficSearch, k: int, level: bool) -> bool:
 
 
 @dispatch_by_field_type({_HIGHWAY: _on_highway, _NETWORK: _on_network}, "rules")
-def on_road(search: TrafficSearch, k: int) -> bool:
-    """Whether the ego is on the road in future k. An ego that cannot stop drives on straight where a road ends, which
-    counts as on the road; for one that can stop it does not."""
+def on_road(search: TrafficSearch, k: int) -> tuple[bool, bool]:
+    """Whether the ego is on the road in future k, and whether it is where the road leads back.
+
+    An ego that cannot stop drives on straight where a road ends, which counts as on the road; for one that can stop it
+    does not. Where the road leads back, highway-env turns the ego round, and nothing is verified any more.
+    """
     raise NotImplementedError
 
 

@@ -285,7 +285,7 @@ SIMULATED = (
         "an input may leave the road",
         f"{EXACT}.inputs",
         "_after",
-        "_[0, _, _] != 0 or not _(_, 0)",
+        "_[0, _, _] != 0 or not _",
         "{1}[0, {2}, {3}] != 0",
         _INPUTS,
     ),

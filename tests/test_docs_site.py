@@ -157,7 +157,15 @@ def test_the_site_lists_every_option_of_every_command() -> None:
             assert sum(parameter.name.upper() in row or parameter.opts[0] in row for row in rows) >= 1, parameter.name
 
 
-EXPLANATIONS = ("how-it-decides", "roads", "simulated-traffic", "perception", "simulator", "predictive-filter", "learned-dynamics")
+EXPLANATIONS = (
+    "how-it-decides",
+    "roads",
+    "simulated-traffic",
+    "perception",
+    "simulator",
+    "predictive-filter",
+    "learned-dynamics",
+)
 
 
 def words(page: Path) -> int:

@@ -89,8 +89,7 @@ SHAPE, ROAD, ID, COUNT, FIRST, TO, FORBIDDEN, PRIORITY, ENDS, LEAVES, CROSSES = 
 
 ROAD: the road of the lane; ID: the lane's index in it; COUNT: number of its lanes; FIRST: its first lane; TO: the node
 that it leads to.
-FORBIDDEN, PRIORITY: as in highway-env. ENDS: 1 if no road continues it, `LEADS_BACK` if
-only roads that lead back do.
+FORBIDDEN, PRIORITY: as in highway-env. ENDS: 1 if no road continues it, `LEADS_BACK` if only roads that lead back do.
 LEAVES: vehicles vanish near its end. CROSSES: it leads from a node where roads part to a node where roads join, so that
 ways cross there.
 """

@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from highway_env.vehicle.kinematics import Vehicle
 
 from dynamics.road_networks.geometry.network import index_of
 from dynamics.state import FloatArray, IntArray
+from dynamics.vehicle.bicycle import WIDTH
 
 __all__ = ["RECENTRED_DISTANCE", "TURNING", "TURN_IN_DISTANCE", "continuations_of", "leads_over", "overruns_of"]
 
@@ -18,8 +20,8 @@ TURN_IN_DISTANCE = 3.0
 behind it where the joint has a sharp bend."""
 TURNING = 0.9
 """Greatest deviation of a vehicle's heading from a lane that it is entering [rad]."""
-_BODY, _BESIDE_CENTRE = (5.0, 2.0), 0.2
-"""Size of highway-env's vehicles, and their deviation from the centre of a lane [m]."""
+_BESIDE_CENTRE = 0.2
+"""Deviation of a vehicle from the centre of a lane [m]."""
 _SLACK, _STRAIGHT, _BESIDE, _PASSES = 1.0, 0.1, 0.3, 3
 _TOUCH = 2.5
 """A lane that begins within this distance of the end of another continues it [m]. If no lane of a road does, the
@@ -103,17 +105,12 @@ def _takes_in(lane: Any, following: Any, entry: FloatArray) -> bool:
     """Whether a vehicle that drives straight on past the end of a lane counts as entering the next one, until
     `TURN_IN_DISTANCE` after the joint. `entry` is a row of `entries`."""
     heading = lane.heading_at(lane.length)
-    forward, aside = np.array([np.cos(heading), np.sin(heading)]), np.array([-np.sin(heading), np.cos(heading)])
-    keep = _BODY[1] / 2 + _BESIDE_CENTRE
+    forward, keep = np.array([np.cos(heading), np.sin(heading)]), WIDTH / 2 + _BESIDE_CENTRE
     for way in np.linspace(0.0, TURN_IN_DISTANCE, 7):
         center = lane.position(lane.length, 0.0) + way * forward
         s = following.local_coordinates(center)[0]
         angle = heading - following.heading_at(min(max(s, 0.0), following.length))
-        corners = [
-            center + x * _BODY[0] / 2 * forward + y * _BODY[1] / 2 * aside
-            for x, y in ((1, 1), (1, -1), (-1, 1), (-1, -1))
-        ]
-        sides = [following.local_coordinates(corner)[1] for corner in corners]
+        sides = [following.local_coordinates(corner)[1] for corner in Vehicle(None, center, heading).polygon()]
         if np.cos(angle) < np.cos(TURNING) or min(sides) < entry[1] - keep or max(sides) > entry[2] + keep:
             return False
     return True

@@ -222,14 +222,20 @@ def stopping_distance_bound(row: FloatArray, conduct: DrivingBounds) -> float:
 
 
 @kernel_inline
-def _repeats(row: FloatArray, strip: Strip, stop: float) -> bool:
-    """Whether a strip, a later pass over the lane of another, lies within that one at all times. The vehicle may stop
-    before it leaves the start of the other, so that one remains reachable."""
-    within = row[FAR] + row[START] >= stop and strip.near >= row[NEAR] and strip.start >= row[START] - _ROUNDING
+def _contains(row: FloatArray, strip: Strip) -> bool:
+    """Whether the body of a strip is within that of another, at each distance from the start of the lane."""
+    within = strip.start >= row[START] - _ROUNDING
     within = within and row[LOW] <= strip.low + _ROUNDING and row[HIGH] >= strip.high - _ROUNDING
     within = within and row[BODY_HALF] >= strip.half - _ROUNDING and row[FRONT] >= strip.front - _ROUNDING
     centred = max(strip.high, -strip.low) <= row[CENTRED_HALF] + _ROUNDING
     return within and (centred or strip.back - strip.near <= row[CENTRED_FROM] - row[NEAR] + _ROUNDING)
+
+
+@kernel_inline
+def _repeats(row: FloatArray, strip: Strip, stop: float) -> bool:
+    """Whether a strip, a later pass over the lane of another, lies within that one at all times. The vehicle may stop
+    before it leaves the start of the other, so that one remains reachable."""
+    return row[FAR] + row[START] >= stop and strip.near >= row[NEAR] and _contains(row, strip)
 
 
 @kernel_no_refcount
@@ -251,9 +257,7 @@ def add(strips: Strips, first: int, count: int, strip: Strip, stop: float) -> in
         same = same and row[BODY_HALF] >= strip.half - _ROUNDING
         if same and strip.parent > j:
             # The strips that strip j leads to are stored already, so it may not change.
-            centred = max(strip.high, -strip.low) <= row[CENTRED_HALF] + _ROUNDING
-            same = strip.start >= row[START] - _ROUNDING and strip.front <= row[FRONT] + _ROUNDING
-            same = same and (centred or strip.back <= row[CENTRED_FROM] + _ROUNDING)
+            same = _contains(row, strip)
         if same:
             row[START], row[FRONT] = min(row[START], strip.start), max(row[FRONT], strip.front)
             row[CENTRED_FROM] = max(row[CENTRED_FROM], strip.back)

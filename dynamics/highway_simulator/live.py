@@ -13,6 +13,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle
 
 from dynamics.errors import ConfigError, SceneError
+from dynamics.highway_simulator.arrays import Worlds
 from dynamics.highway_simulator.kinds import CONSTANTS, constants_of, kind_of
 from dynamics.highway_simulator.lanes import lanes_at
 from dynamics.highway_simulator.layout import (
@@ -49,7 +50,6 @@ from dynamics.highway_simulator.layout import (
 )
 from dynamics.highway_simulator.random import WORDS, from_generator, to_generator
 from dynamics.highway_simulator.scenario import Scenario
-from dynamics.highway_simulator.step_kernels import Worlds
 from dynamics.state import FloatArray
 
 __all__ = ["bodies_of", "check_body", "check_egos", "kind_in_scene", "load", "load_body", "store"]

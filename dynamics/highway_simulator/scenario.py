@@ -19,12 +19,12 @@ from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from dynamics.errors import ConfigError, PlatformError
+from dynamics.highway_simulator.arrays import ObservationConfig, Rules
 from dynamics.highway_simulator.grid import LAYERS
 from dynamics.highway_simulator.kinds import constants_of, kind_of, mix_of, ranges_of
 from dynamics.highway_simulator.layout import CONTINUOUS, EGO, LANE_COLUMNS
 from dynamics.highway_simulator.observe import FEATURES
 from dynamics.highway_simulator.own_methods import check_own_methods
-from dynamics.highway_simulator.step_kernels import ObservationConfig, Rules
 from dynamics.highway_simulator.supported_configs import unsupported_highway_settings
 from dynamics.scenes.registration import spec_of
 from dynamics.state import FloatArray

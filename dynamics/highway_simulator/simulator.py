@@ -12,27 +12,14 @@ from numpy.typing import NDArray
 
 from dynamics.errors import ConfigError
 from dynamics.highway_simulator.arithmetic import Sums, sums_of_numpy
+from dynamics.highway_simulator.arrays import Machine, Rules, Simulation, StepResults, Work, Worlds
 from dynamics.highway_simulator.layout import LINEAR, F, G, P
 from dynamics.highway_simulator.live import bodies_of, load, store
 from dynamics.highway_simulator.loops import addresses
 from dynamics.highway_simulator.random import REPLAY_START, WORDS
 from dynamics.highway_simulator.requests import checked_resets, checked_steps, kernel_actions
 from dynamics.highway_simulator.scenario import Scenario, scenario_of, scenario_of_live
-from dynamics.highway_simulator.step_kernels import (
-    Machine,
-    Rules,
-    Simulation,
-    StepResults,
-    Work,
-    Worlds,
-    begin,
-    finish,
-    frame,
-    look,
-    observe,
-    reset_all,
-    step_all,
-)
+from dynamics.highway_simulator.step_kernels import begin, finish, frame, look, observe, reset_all, step_all
 from dynamics.slices import Slices
 from dynamics.state import FloatArray
 
@@ -61,7 +48,7 @@ class Simulator:
     Attributes
     ----------
     scenario : the environment as arrays.
-    worlds : the state of all copies, arrays that may be read and written (see `step_kernels.Worlds`, `layout`).
+    worlds : the state of all copies, arrays that may be read and written (see `arrays.Worlds`, `layout`).
     seen : results of the last call (see `step_kernels.Seen`). flat : the same, with the cells of a grid in one axis.
     exact : whether the way in which this machine's numpy computes sums of products is known. If not, states initially
         agree to some 1e-12.

@@ -47,13 +47,6 @@ from dynamics.highway_simulator.scene import next_target_speed, spawn
 from dynamics.state import FloatArray, IntArray
 
 __all__ = [
-    "Machine",
-    "ObservationConfig",
-    "Rules",
-    "Simulation",
-    "StepResults",
-    "Work",
-    "Worlds",
     "advance",
     "begin",
     "begin_next_episode",

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dynamics.compiled import kernel_inline, row_as_tuple
-from dynamics.highway_simulator.step_kernels import Worlds
+from dynamics.highway_simulator.arrays import Worlds
 from dynamics.pass_by_pointer import Pointer
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.traffic.occupancy import buffer_shape, horizons

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
+from dynamics.highway_simulator.arrays import Worlds
 from dynamics.highway_simulator.layout import SPEED, TARGET, TARGET_SPEED, X, Y
 from dynamics.highway_simulator.scene import next_target_speed
-from dynamics.highway_simulator.step_kernels import Worlds
 from dynamics.pass_by_pointer import Pointer, address_of, dereference
 from dynamics.roads.straight import nearest
 from dynamics.state import FloatArray, IntArray

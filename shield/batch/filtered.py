@@ -11,10 +11,11 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.highway_simulator.arrays import Worlds
 from dynamics.highway_simulator.env import CompiledHighwayEnv
 from dynamics.highway_simulator.requests import checked_steps
 from dynamics.highway_simulator.simulator import Simulator
-from dynamics.highway_simulator.step_kernels import Worlds, look
+from dynamics.highway_simulator.step_kernels import look
 from dynamics.slices import Slices
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.batch.arrays import empty_records
@@ -132,7 +133,7 @@ class FilteredHighways(ABC):
 
     @property
     def worlds(self) -> Worlds:
-        """The state of the traffic (see `dynamics.highway_simulator.step_kernels.Worlds`)."""
+        """The state of the traffic (see `dynamics.highway_simulator.arrays.Worlds`)."""
         worlds: Worlds = self.simulator.worlds
         return worlds
 

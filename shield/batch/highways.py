@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from highway_env.road.road import RoadNetwork
 
+from dynamics.highway_simulator.arrays import Simulation, Worlds
 from dynamics.highway_simulator.layout import LENGTH, WIDTH
-from dynamics.highway_simulator.step_kernels import Simulation, Worlds
 from dynamics.roads.straight import StraightRoad
 from dynamics.state import BoolArray, IntArray
 from shield.batch.arrays import BatchMemory, empty_memory, new_batch_workspace

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from dynamics.compiled import kernel_no_refcount
-from dynamics.highway_simulator.step_kernels import Worlds
+from dynamics.highway_simulator.arrays import Worlds
 from dynamics.pass_by_pointer import address_of, dereference
 from dynamics.roads.straight import nearest
 from dynamics.state import BoolArray

@@ -6,8 +6,9 @@ from __future__ import annotations
 import math
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount, row_as_tuple
+from dynamics.highway_simulator.arrays import Worlds
 from dynamics.highway_simulator.layout import TARGET_SPEED
-from dynamics.highway_simulator.step_kernels import Worlds, write_row
+from dynamics.highway_simulator.step_kernels import write_row
 from dynamics.pass_by_pointer import address_of, dereference
 from dynamics.roads.straight import nearest
 from dynamics.state import BoolArray, FloatArray, IntArray

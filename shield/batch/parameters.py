@@ -68,7 +68,7 @@ class BatchParameters(NamedTuple):
     size, settings, motion, limits : numbers of `Footprint`, of `Settings`, of `Motion` (with the marking tolerance and
         the lateral deviation), and of the limits of `rule_violations`.
     table, stretch, growth : of the road; a straight one needs none.
-    target_speeds, labels : of the meta-actions, see `dynamics.highway_simulator.step_kernels.Rules`.
+    target_speeds, labels : of the meta-actions, see `dynamics.highway_simulator.arrays.Rules`.
     numbers : scalars.
     """
 

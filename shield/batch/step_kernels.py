@@ -6,16 +6,10 @@ import math
 from typing import NamedTuple
 
 from dynamics.compiled import kernel_no_refcount
+from dynamics.highway_simulator.arrays import Simulation
 from dynamics.highway_simulator.layout import SPEED, TARGET, TARGET_SPEED
 from dynamics.highway_simulator.neighbours import sort
-from dynamics.highway_simulator.step_kernels import (
-    Simulation,
-    advance,
-    begin,
-    begin_next_episode,
-    finish,
-    look,
-)
+from dynamics.highway_simulator.step_kernels import advance, begin, begin_next_episode, finish, look
 from dynamics.pass_by_pointer import address_of
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.batch.arrays import BatchMemory, BatchPointers, BatchRecords, BatchWorkspace

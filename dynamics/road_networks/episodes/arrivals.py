@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from dynamics.compiled import kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import dot2
+from dynamics.highway_simulator.arrays import Machine
 from dynamics.highway_simulator.layout import (
     EGO,
     IDM,
@@ -23,7 +24,6 @@ from dynamics.highway_simulator.layout import (
 )
 from dynamics.highway_simulator.random import GeneratorRow, below, uniform
 from dynamics.highway_simulator.scene import randomize, speed_index
-from dynamics.highway_simulator.step_kernels import Machine
 from dynamics.road_networks.episodes.draws import normal, two_of
 from dynamics.road_networks.episodes.placing import ResetTables, place_vehicle, set_route
 from dynamics.road_networks.geometry.lanes import heading_at, place

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.compiled import kernel_no_refcount
+from dynamics.highway_simulator.arrays import Machine
 from dynamics.highway_simulator.layout import CRASHED, EGO, KIND, SPEED, TARGET_SPEED
 from dynamics.highway_simulator.random import seed_row
-from dynamics.highway_simulator.step_kernels import Machine
 from dynamics.road_networks.episodes.arrivals import ArrivalRules, clear_and_spawn, spawn_intersection
 from dynamics.road_networks.episodes.observe import AHEAD, RoadObservationConfig, kinematics
 from dynamics.road_networks.episodes.placing import ResetTables, place_row

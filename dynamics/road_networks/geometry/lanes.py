@@ -64,7 +64,7 @@ _ROUNDING = 1e-9
 
 class NetworkLanes(NamedTuple):
     """The lanes of a network, and how numpy computes on this machine (see
-    `dynamics.highway_simulator.step_kernels.Machine`).
+    `dynamics.highway_simulator.arrays.Machine`).
 
     Attributes
     ----------

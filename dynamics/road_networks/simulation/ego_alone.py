@@ -13,6 +13,7 @@ from highway_env.vehicle.controller import MDPVehicle
 from dynamics.compiled import kernel_no_refcount
 from dynamics.errors import ConfigError, SceneError
 from dynamics.highway_simulator.arithmetic import Sums, sums_of_numpy
+from dynamics.highway_simulator.arrays import Machine
 from dynamics.highway_simulator.control import KP_A
 from dynamics.highway_simulator.layout import (
     ACCELERATION,
@@ -27,7 +28,6 @@ from dynamics.highway_simulator.layout import (
 )
 from dynamics.highway_simulator.loops import addresses
 from dynamics.highway_simulator.scenario import ACTIONS
-from dynamics.highway_simulator.step_kernels import Machine
 from dynamics.road_networks.geometry.layout import COUNT, FIRST, ID, ROAD
 from dynamics.road_networks.geometry.network import index_of, network_of
 from dynamics.road_networks.simulation.frame_kernels import (

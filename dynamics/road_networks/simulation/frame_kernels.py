@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
+from dynamics.highway_simulator.arrays import Machine
 from dynamics.highway_simulator.collisions import collide
 from dynamics.highway_simulator.layout import (
     ACCELERATION,
@@ -32,7 +33,6 @@ from dynamics.highway_simulator.layout import (
 from dynamics.highway_simulator.motion import bicycle, limit
 from dynamics.highway_simulator.neighbours import sort
 from dynamics.highway_simulator.scene import next_target_speed
-from dynamics.highway_simulator.step_kernels import Machine
 from dynamics.road_networks.geometry.lanes import NetworkLanes, after_end, closest, on_lane, reachable
 from dynamics.road_networks.geometry.layout import (
     ACROSS,

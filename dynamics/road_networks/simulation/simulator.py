@@ -11,11 +11,12 @@ from highway_env.envs.common.action import ContinuousAction, MultiAgentAction
 from dynamics.compiled import kernel_no_refcount
 from dynamics.errors import ConfigError, SceneError
 from dynamics.highway_simulator.arithmetic import Sums, sums_of_numpy
+from dynamics.highway_simulator.arrays import Machine
 from dynamics.highway_simulator.layout import LANE
 from dynamics.highway_simulator.live import bodies_of
 from dynamics.highway_simulator.loops import addresses
 from dynamics.highway_simulator.scenario import ACTIONS
-from dynamics.highway_simulator.step_kernels import Machine, write_row
+from dynamics.highway_simulator.step_kernels import write_row
 from dynamics.road_networks.geometry.lanes import on_lane
 from dynamics.road_networks.geometry.layout import ACROSS, ALONG
 from dynamics.road_networks.geometry.network import index_of, network_of

@@ -5,17 +5,9 @@ from __future__ import annotations
 import math
 
 from dynamics.compiled import kernel_no_refcount
+from dynamics.highway_simulator.arrays import ObservationConfig, StepResults, Worlds
 from dynamics.highway_simulator.neighbours import sort
-from dynamics.highway_simulator.step_kernels import (
-    ObservationConfig,
-    StepResults,
-    Worlds,
-    advance,
-    begin,
-    begin_next_episode,
-    finish,
-    look,
-)
+from dynamics.highway_simulator.step_kernels import advance, begin, begin_next_episode, finish, look
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.batch.arrays import BatchRecords
 from shield.batch.codes import TIERS

@@ -7,6 +7,7 @@ from typing import Any
 
 from dynamics.compiled import dispatch_by_field_type, kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator import step_kernels as highways
+from dynamics.highway_simulator.arrays import Rules as HighwayRules
 from dynamics.highway_simulator.lanes import on_lane
 from dynamics.highway_simulator.layout import LANE, LENGTH, TARGET, WIDTH, X, Y
 from dynamics.highway_simulator.neighbours import sort
@@ -127,7 +128,7 @@ def _copy_more(search: TrafficSearch, worlds: Any, e: int) -> None:
             p[k, LENGTH, i] = p[k, WIDTH, i] = 0.0
 
 
-_HIGHWAY, _NETWORK = highways.Rules, networks.NetworkRules
+_HIGHWAY, _NETWORK = HighwayRules, networks.NetworkRules
 
 
 @dispatch_by_field_type({_HIGHWAY: _first, _NETWORK: _ego_on_network}, "rules")

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dynamics.highway_simulator.arrays import Machine, Rules
 from dynamics.highway_simulator.simulator import Simulator
-from dynamics.highway_simulator.step_kernels import Machine, Rules
 from dynamics.road_networks.simulation.simulator import NetworkSimulator
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.config import ShieldConfig
@@ -203,7 +203,7 @@ class TrafficSearch(NamedTuple):
 
 
 _SAFEST_FIRST = (4, 1, 2, 0, 3)
-"""Labels of the actions (see `dynamics.highway_simulator.step_kernels.Rules`): slower, none, right, left, faster."""
+"""Labels of the actions (see `dynamics.highway_simulator.arrays.Rules`): slower, none, right, left, faster."""
 
 
 def _takes(search: TrafficSearch, simulator: Simulator | NetworkSimulator, allies: int) -> bool:

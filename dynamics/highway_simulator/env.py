@@ -88,7 +88,7 @@ class CompiledHighwayEnv(gym.Env[Any, Any]):
         self.road = SimpleNamespace(network=self._network)
         self.controlled_vehicles = [_Ego(self)]
         self.frames, self.off_road, self.steps, self.time = [], [], 0, 0.0
-        self._keep(self.simulator.look)
+        self._keep(self.simulator.write_rows)
         return observations[0].copy(), {"speed": self.vehicle.speed, "crashed": False}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -114,9 +114,9 @@ class CompiledHighwayEnv(gym.Env[Any, Any]):
     def _observe(self) -> Any:
         return self.simulator.observe().copy()
 
-    def _keep(self, look: Any) -> None:
+    def _keep(self, write_rows: Any) -> None:
         rows = np.empty((self.simulator.scenario.bodies, _COLUMNS))
-        self.off_road.append(not look(rows))
+        self.off_road.append(not write_rows(rows))
         self.frames.append(rows)
 
 

@@ -55,12 +55,12 @@ from dynamics.state import FloatArray
 __all__ = ["bodies_of", "check_body", "check_egos", "kind_in_scene", "load", "load_body", "store"]
 
 
-def bodies_of(env: gym.Env[Any, Any], first: bool = True, team: bool = False) -> tuple[list[Any], list[Any]]:
+def bodies_of(env: gym.Env[Any, Any], first: bool = True, multi_agent: bool = False) -> tuple[list[Any], list[Any]]:
     """The vehicles and the obstacles of a live environment.
 
     Parameters
     ----------
-    first : whether the ego has to be the first of the vehicles. team : whether there may be several egos.
+    first : whether the ego has to be the first of the vehicles. multi_agent : whether there may be several egos.
 
     Raises
     ------
@@ -68,14 +68,14 @@ def bodies_of(env: gym.Env[Any, Any], first: bool = True, team: bool = False) ->
         If there are more egos than allowed, the ego is not where expected, or another object stands on the road.
     """
     base = cast(Any, env.unwrapped)
-    check_egos(base, first, team)
+    check_egos(base, first, multi_agent)
     strange = [type(o).__name__ for o in base.road.objects if type(o) is not Obstacle]
     if strange:
         raise SceneError(f"the simulator knows obstacles, not {', '.join(strange)}")
     return base.road.vehicles, base.road.objects
 
 
-def check_egos(base: Any, first: bool = True, team: bool = False) -> None:
+def check_egos(base: Any, first: bool = True, multi_agent: bool = False) -> None:
     """Check that the ego of an environment, unwrapped, is on its road; parameters as of `bodies_of`.
 
     Raises
@@ -84,7 +84,7 @@ def check_egos(base: Any, first: bool = True, team: bool = False) -> None:
         If there are more egos than allowed, or the ego is not where expected.
     """
     egos = len(base.controlled_vehicles)
-    vehicles = [] if base.road is None or egos == 0 or (egos > 1 and not team) else base.road.vehicles
+    vehicles = [] if base.road is None or egos == 0 or (egos > 1 and not multi_agent) else base.road.vehicles
     if not any(v is base.vehicle for v in (vehicles[:1] if first else vehicles)):
         where = "first of" if first else "among"
         raise SceneError(f"have one ego, {where} the vehicles on the road; is the environment reset?")

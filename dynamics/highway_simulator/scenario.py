@@ -282,11 +282,11 @@ def _actions(action: Mapping[str, Any]) -> tuple[ActionScaling | None, Any, Floa
 
 def _view(config: Mapping[str, Any]) -> tuple[ObservationConfig, gym.spaces.Box]:
     """The configuration of the observation for the kernels, and the observation space."""
-    asked, n = config["observation"], config["lanes_count"]
-    is_grid = asked["type"] == "OccupancyGrid"
+    observation, n = config["observation"], config["lanes_count"]
+    is_grid = observation["type"] == "OccupancyGrid"
     default = OccupancyGridObservation.FEATURES if is_grid else KinematicObservation.FEATURES
-    features = list(asked.get("features") or default)
-    ranges = asked.get("features_range")
+    features = list(observation.get("features") or default)
+    ranges = observation.get("features_range")
     if not ranges:
         far, fast, side = 5.0 * Vehicle.MAX_SPEED, 2 * Vehicle.MAX_SPEED, AbstractLane.DEFAULT_WIDTH * n
         ranges = {"vx": [-fast, fast], "vy": [-fast, fast]}
@@ -298,18 +298,18 @@ def _view(config: Mapping[str, Any]) -> tuple[ObservationConfig, gym.spaces.Box]
         for names in (features, ("x", "y"))
     )
     switches = (
-        bool(asked.get("absolute", False)),
-        bool(asked.get("normalize", True)),
-        bool(asked.get("clip", True)),
-        bool(asked.get("see_behind", False)),
-        asked.get("order", "sorted") == "shuffled",
-        bool(asked.get("include_obstacles", True)),
+        bool(observation.get("absolute", False)),
+        bool(observation.get("normalize", True)),
+        bool(observation.get("clip", True)),
+        bool(observation.get("see_behind", False)),
+        observation.get("order", "sorted") == "shuffled",
+        bool(observation.get("include_obstacles", True)),
     )
     cells = np.zeros((0, 3))
-    shape: tuple[int, ...] = (int(asked.get("vehicles_count", 5)), len(features))
+    shape: tuple[int, ...] = (int(observation.get("vehicles_count", 5)), len(features))
     if is_grid:
-        size = np.array(asked.get("grid_size") or OccupancyGridObservation.GRID_SIZE)
-        step = np.array(asked.get("grid_step") or OccupancyGridObservation.GRID_STEP)
+        size = np.array(observation.get("grid_size") or OccupancyGridObservation.GRID_SIZE)
+        step = np.array(observation.get("grid_step") or OccupancyGridObservation.GRID_STEP)
         counts = np.floor((size[:, 1] - size[:, 0]) / step)
         cells = np.stack([size[:, 0], step, counts], axis=1).astype(np.float64)
         shape = (len(features), *counts.astype(int).tolist())

@@ -19,7 +19,7 @@ from dynamics.highway_simulator.loops import addresses
 from dynamics.highway_simulator.random import REPLAY_START, WORDS
 from dynamics.highway_simulator.requests import checked_resets, checked_steps, kernel_actions
 from dynamics.highway_simulator.scenario import Scenario, scenario_of, scenario_of_live
-from dynamics.highway_simulator.step_kernels import begin, finish, frame, look, observe, reset_all, step_all
+from dynamics.highway_simulator.step_kernels import begin, finish, frame, observe, reset_all, step_all, write_rows
 from dynamics.slices import Slices
 from dynamics.state import FloatArray
 
@@ -36,7 +36,7 @@ class Simulator:
     config : changes of the default configuration.
     threads : number of threads that share the environments of a step. A further thread pays from some 64 environments
         on.
-    tape : whether `reset_to` is available: scenes from chosen random numbers.
+    replay_draws : whether `reset_to` is available: scenes from chosen random numbers.
 
     Raises
     ------
@@ -68,10 +68,10 @@ class Simulator:
         num_envs: int = 1,
         config: Mapping[str, Any] | None = None,
         threads: int = 1,
-        tape: bool = False,
+        replay_draws: bool = False,
     ) -> None:
         self._network: Any = None
-        self._build(scenario_of(env_id, config), num_envs, threads, tape)
+        self._build(scenario_of(env_id, config), num_envs, threads, replay_draws)
         entropy = np.random.SeedSequence().generate_state(num_envs, np.uint64) >> np.uint64(1)
         self.reset(entropy.astype(np.int64))
 
@@ -158,7 +158,7 @@ class Simulator:
         self._check_copy(e)
         store(env, self.scenario, self.worlds, e)
 
-    def _build(self, scenario: Scenario, num_envs: int, threads: int = 1, tape: bool = False) -> None:
+    def _build(self, scenario: Scenario, num_envs: int, threads: int = 1, replay_draws: bool = False) -> None:
         """Set up the arrays and buffers for a scenario."""
         if num_envs < 1 or threads < 1:
             raise ConfigError(f"num_envs and threads must be at least 1, not {num_envs} and {threads}")
@@ -167,7 +167,7 @@ class Simulator:
         sums, products = sums_of_numpy()
         self.exact = Sums.OTHER not in (sums, products)
         self.machine = Machine(sums, products, addresses())
-        self.worlds = self.new_worlds(e, REPLAY_START + self.draws if tape else WORDS)
+        self.worlds = self.new_worlds(e, REPLAY_START + self.draws if replay_draws else WORDS)
         shape = scenario.observation_space.shape
         rows, features = shape[0], int(np.prod(shape[1:]))
         self._slices = Slices(e, threads)
@@ -198,13 +198,13 @@ class Simulator:
         lane = int(len(self.scenario.rules.lanes) > 1)
         return 1 + lane * (first_lane < 0) + (vehicles - 1) * (lane + (8 if kind == LINEAR else 3))
 
-    def reset_to(self, shares: FloatArray, which: Sequence[int]) -> NDArray[np.float32]:
+    def reset_to(self, uniforms: FloatArray, which: Sequence[int]) -> NDArray[np.float32]:
         """Start episodes in scenes with chosen random numbers.
 
         Parameters
         ----------
-        shares : the random numbers of each scene, (len(which), `draws`), each in [0, 1). Uniformly distributed numbers
-            give the distribution of highway-env's scenes.
+        uniforms : the random numbers of each scene, (len(which), `draws`), each in [0, 1). Uniformly distributed
+            numbers give the distribution of highway-env's scenes.
         which : the environments.
 
         Returns
@@ -214,16 +214,16 @@ class Simulator:
         Raises
         ------
         ConfigError
-            If the simulator was built without `tape`, or the numbers have another shape or range.
+            If the simulator was built without `replay_draws`, or the numbers have another shape or range.
         """
-        shares = np.asarray(shares, float)
+        uniforms = np.asarray(uniforms, float)
         if self.worlds.rows.shape[1] <= WORDS:
             raise ConfigError("scenes of one's own choice need Simulator(..., tape=True)")
-        if shares.shape != (len(which), self.draws) or not ((shares >= 0) & (shares < 1)).all():
-            raise ConfigError(f"have numbers from 0 to 1 of shape {(len(which), self.draws)}, not {shares.shape}")
+        if uniforms.shape != (len(which), self.draws) or not ((uniforms >= 0) & (uniforms < 1)).all():
+            raise ConfigError(f"have numbers from 0 to 1 of shape {(len(which), self.draws)}, not {uniforms.shape}")
         chosen = np.asarray(which, np.int64)
         self.worlds.rows[chosen, WORDS] = 1
-        self.worlds.rows[chosen, REPLAY_START:] = np.ldexp(shares, 53).astype(np.uint64) << np.uint64(11)
+        self.worlds.rows[chosen, REPLAY_START:] = np.ldexp(uniforms, 53).astype(np.uint64) << np.uint64(11)
         return self.reset(which=which)
 
     def new_worlds(self, count: int, words: int = WORDS) -> Worlds:
@@ -324,9 +324,9 @@ class Simulator:
         work = self._works[0]
         return bool(frame(self._simulation(work), 0, throttle, wheel, rows))
 
-    def look(self, rows: FloatArray) -> bool:
-        """The bodies of the only copy as rows; see `step_kernels.look`."""
-        return bool(look(self.worlds, self.scenario.rules, 0, rows))
+    def write_rows(self, rows: FloatArray) -> bool:
+        """The bodies of the only copy as rows; see `step_kernels.write_rows`."""
+        return bool(write_rows(self.worlds, self.scenario.rules, 0, rows))
 
     def observe(self) -> NDArray[np.float32]:
         """The present observation of the ego of the only copy, also between two frames, (bodies, features). The next

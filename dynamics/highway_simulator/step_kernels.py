@@ -53,10 +53,10 @@ __all__ = [
     "finish",
     "first_equal_actions",
     "frame",
-    "look",
     "reset_all",
     "step_all",
     "write_row",
+    "write_rows",
 ]
 
 
@@ -111,7 +111,7 @@ def advance(
 
 
 @kernel_no_refcount
-def _judge(rules: Rules, f: FloatArray, g: IntArray, parts: FloatArray) -> tuple[float, bool]:
+def _reward_of_decision(rules: Rules, f: FloatArray, g: IntArray, parts: FloatArray) -> tuple[float, bool]:
     """The reward of a decision, and whether the ego is on the road."""
     collision, right, fast, on_road, slow_end, fast_end, normalised, _ = rules.reward
     lanes, lane = rules.lanes, g[TARGET, 0] if g[KIND, 0] == EGO else g[LANE, 0]
@@ -148,7 +148,7 @@ def finish(
     """End a decision in one environment: observation, reward, and whether the episode ends; see `StepResults`."""
     f, g = worlds.f[e], worlds.g[e]
     _show(machine, worlds, rules, view, work, e, seen.observations[e])
-    reward, on = _judge(rules, f, g, seen.parts[e])
+    reward, on = _reward_of_decision(rules, f, g, seen.parts[e])
     seen.reward[e], seen.speed[e] = reward, f[SPEED, 0]
     seen.terminated[e] = g[CRASHED, 0] != 0 or (rules.reward[7] and not on)
     seen.truncated[e] = worlds.clock[e] >= rules.times[2]
@@ -213,7 +213,7 @@ def write_row(f: FloatArray, g: IntArray, p: FloatArray, i: int, row: FloatArray
 
 
 @kernel_inline
-def look(worlds: Worlds, rules: Rules, e: int, rows: FloatArray) -> bool:
+def write_rows(worlds: Worlds, rules: Rules, e: int, rows: FloatArray) -> bool:
     """Write the bodies of one environment to `rows`, (m, 7), see `frame`, and return whether the ego is on the road."""
     f, g, p, lanes = worlds.f[e], worlds.g[e], worlds.p[e], rules.lanes
     for i in range(f.shape[1]):
@@ -232,7 +232,7 @@ def frame(simulation: Simulation, e: int, throttle: float, wheel: float, rows: F
     """
     machine, worlds, rules, _, work, _ = simulation
     advance(machine, worlds, rules, work, e, sort(worlds.f[e], worlds.order[e]), throttle, wheel)
-    return look(worlds, rules, e, rows)
+    return write_rows(worlds, rules, e, rows)
 
 
 @kernel_no_refcount

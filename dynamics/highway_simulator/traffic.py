@@ -1,7 +1,7 @@
 """Driving models of highway-env's traffic: IDM, the linear model, and MOBIL.
 
 Treiber, Hennecke and Helbing 2000; Kesting, Treiber and Helbing 2007; the details are those of highway-env's
-`vehicle/behavior.py`. A vehicle computes the acceleration of another vehicle with its own constants; parameter `judge`
+`vehicle/behavior.py`. A vehicle computes the acceleration of another vehicle with its own constants; parameter `driver`
 is the vehicle that computes.
 """
 
@@ -58,12 +58,12 @@ _POWER = 5
 
 
 @kernel_inline
-def desired_gap(sums: int, f: FloatArray, p: FloatArray, judge: int, body: int, leader: int) -> float:
+def desired_gap(sums: int, f: FloatArray, p: FloatArray, driver: int, body: int, leader: int) -> float:
     """IDM's desired gap d* of a body to the one ahead [m]; it may be negative if that one is much faster."""
     v, w = f[SPEED, body], f[SPEED, leader]
     c, s = f[COS, body], f[SIN, body]
     closing = dot2(sums, v * c - w * f[COS, leader], c, v * s - w * f[SIN, leader], s)
-    return desired_gap_with(p[DISTANCE, judge], p[TIME, judge], p[TWICE_ROOT, judge], v, closing)
+    return desired_gap_with(p[DISTANCE, driver], p[TIME, driver], p[TWICE_ROOT, driver], v, closing)
 
 
 @kernel_inline
@@ -81,68 +81,68 @@ def free_flow(comfort: float, power: float) -> float:
 
 @kernel_inline
 def free_flow_of(
-    loops: IntArray, f: FloatArray, g: IntArray, p: FloatArray, lanes: FloatArray, judge: int, body: int
+    loops: IntArray, f: FloatArray, g: IntArray, p: FloatArray, lanes: FloatArray, driver: int, body: int
 ) -> float:
-    """IDM's acceleration of a body on an empty road by the constants of vehicle `judge` [m/s^2]; lanes : (n,
+    """IDM's acceleration of a body on an empty road by the constants of vehicle `driver` [m/s^2]; lanes : (n,
     LANE_COLUMNS)."""
     share = target_speed_ratio(f, g, lanes, body)
     power = share * share
-    if p[DELTA, judge] != 2.0:
-        power = at_two(loops[_POWER, 0], loops[_POWER, 1], share, p[DELTA, judge])
-    return free_flow(p[COMFORT, judge], power)
+    if p[DELTA, driver] != 2.0:
+        power = at_two(loops[_POWER, 0], loops[_POWER, 1], share, p[DELTA, driver])
+    return free_flow(p[COMFORT, driver], power)
 
 
 @kernel_inline
 def acceleration_behind_leader(
-    sums: int, f: FloatArray, p: FloatArray, judge: int, body: int, leader: int, ahead: float, free: float
+    sums: int, f: FloatArray, p: FloatArray, driver: int, body: int, leader: int, ahead: float, free: float
 ) -> float:
     """IDM's acceleration of a body at distance `ahead` [m] behind a leader, given that on an empty road [m/s^2]."""
-    held = desired_gap(sums, f, p, judge, body, leader) / not_zero(ahead)
-    return free - p[COMFORT, judge] * (held * held)
+    gap_ratio = desired_gap(sums, f, p, driver, body, leader) / not_zero(ahead)
+    return free - p[COMFORT, driver] * (gap_ratio * gap_ratio)
 
 
 @kernel_inline
 def linear(
-    sums: int, f: FloatArray, g: IntArray, p: FloatArray, judge: int, body: int, leader: int, ahead: float
+    sums: int, f: FloatArray, g: IntArray, p: FloatArray, driver: int, body: int, leader: int, ahead: float
 ) -> float:
-    """The linear model's acceleration of a body by the constants of vehicle `judge` [m/s^2].
+    """The linear model's acceleration of a body by the constants of vehicle `driver` [m/s^2].
 
     Parameters
     ----------
     body, leader : -1 for none. ahead : distance from the body to the leader [m]; not read without a leader.
     """
     if body < 0:
-        return dot3(sums, p[A_SPEED, judge], 0.0, p[A_LEADER, judge], 0.0, p[A_GAP, judge], 0.0)
+        return dot3(sums, p[A_SPEED, driver], 0.0, p[A_LEADER, driver], 0.0, p[A_GAP, driver], 0.0)
     v = f[SPEED, body]
     own = g[KIND, body] == CONTINUOUS or g[KIND, body] == OBSTACLE
     faster = (v if own else f[TARGET_SPEED, body]) - v
-    closing, room = 0.0, 0.0
+    closing, gap_error = 0.0, 0.0
     if leader >= 0:
         closing = min(f[SPEED, leader] - v, 0.0)
-        room = min(ahead - (p[DISTANCE, judge] + max(v, 0.0) * p[TIME, judge]), 0.0)
-    return dot3(sums, p[A_SPEED, judge], faster, p[A_LEADER, judge], closing, p[A_GAP, judge], room)
+        gap_error = min(ahead - (p[DISTANCE, driver] + max(v, 0.0) * p[TIME, driver]), 0.0)
+    return dot3(sums, p[A_SPEED, driver], faster, p[A_LEADER, driver], closing, p[A_GAP, driver], gap_error)
 
 
 @kernel_inline
-def acceleration(machine: Machine, bodies: Bodies, judge: int, body: int, leader: int, free: float) -> float:
-    """Acceleration of a body behind a leader, by the model and the constants of vehicle `judge` [m/s^2].
+def acceleration(machine: Machine, bodies: Bodies, driver: int, body: int, leader: int, free: float) -> float:
+    """Acceleration of a body behind a leader, by the model and the constants of vehicle `driver` [m/s^2].
 
     Parameters
     ----------
     body, leader : -1 for none.
-    free : `free_flow` of `judge` itself. For another body it is computed here.
+    free : `free_flow` of `driver` itself. For another body it is computed here.
     """
     sums, f, g, p = machine.sums, bodies.f, bodies.g, bodies.p
-    if g[KIND, judge] == LINEAR:
+    if g[KIND, driver] == LINEAR:
         ahead = f[X, leader] - f[X, body] if body >= 0 and leader >= 0 else 0.0
-        return linear(sums, f, g, p, judge, body, leader, ahead)
+        return linear(sums, f, g, p, driver, body, leader, ahead)
     if body < 0 or g[KIND, body] == OBSTACLE:
         return 0.0
-    if body != judge:
-        free = free_flow_of(machine.loops, f, g, p, bodies.lanes, judge, body)
+    if body != driver:
+        free = free_flow_of(machine.loops, f, g, p, bodies.lanes, driver, body)
     if leader < 0:
         return free
-    return acceleration_behind_leader(sums, f, p, judge, body, leader, f[X, leader] - f[X, body], free)
+    return acceleration_behind_leader(sums, f, p, driver, body, leader, f[X, leader] - f[X, body], free)
 
 
 @kernel_no_refcount

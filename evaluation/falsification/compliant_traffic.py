@@ -48,7 +48,7 @@ FAIL_SAFE = 9.8
 """Hardest braking of the ego in its fail-safe [m/s^2]."""
 _OFTEN = {"LANE_LEFT": 3.0, "LANE_RIGHT": 3.0, "FASTER": 2.0}
 """Weights of the ego's random proposals; every other action has the weight 1."""
-_HELD = 2, 12
+_KEPT_FRAMES = 2, 12
 """Range of frames for which a drawn acceleration is kept; the end is exclusive."""
 _TOUCHES = 2.0
 """Half the width of a lane [m]."""
@@ -86,7 +86,7 @@ class CompliantHighwayDriver(IDMVehicle):  # type: ignore[misc]
     def take(self, draw: np.random.Generator, ego: Any, dt: float) -> None:
         """Set the random generator, the ego, and the duration of a frame [s]."""
         self.draw, self.ego, self.dt, self.left = draw, ego, dt, 0
-        self.held, self.offset, self.rest = 0.0, 0.0, 0
+        self.drawn_acceleration, self.offset, self.rest = 0.0, 0.0, 0
         self.target_speed = RULES.max_speed
 
     def act(self, action: Any = None) -> None:
@@ -108,11 +108,15 @@ class CompliantHighwayDriver(IDMVehicle):  # type: ignore[misc]
 
     def _choose(self) -> None:
         """Draw an acceleration and the number of frames for which it is kept."""
-        self.left = int(self.draw.integers(*_HELD))
-        calm = RULES.comfortable_braking
-        self.held = float(self.draw.choice([-calm, -calm, -0.5 * calm, 0.0, RULES.acceleration, RULES.acceleration]))
+        self.left = int(self.draw.integers(*_KEPT_FRAMES))
+        comfortable = RULES.comfortable_braking
+        self.drawn_acceleration = float(
+            self.draw.choice(
+                [-comfortable, -comfortable, -0.5 * comfortable, 0.0, RULES.acceleration, RULES.acceleration]
+            )
+        )
         if 0 < self.ego.position[0] - self.position[0] < _HUNTS and self.draw.random() < 0.8:
-            self.held = RULES.acceleration
+            self.drawn_acceleration = RULES.acceleration
 
     def _go_across(self) -> None:
         """Choose a lateral target: a lane change by MOBIL or to any free lane, or an offset across a marking."""
@@ -134,7 +138,7 @@ class CompliantHighwayDriver(IDMVehicle):  # type: ignore[misc]
     def _change_as_mobil(self) -> None:
         """Change lanes by MOBIL. At about the ego's speed without a check of its gap, like highway-env's traffic."""
         self.change_lane_policy()
-        if abs(self.speed - self.ego.speed) > _ALIKE and not self._leaves_room(self.target_lane_index[2]):
+        if abs(self.speed - self.ego.speed) > _ALIKE and not self._leaves_gap(self.target_lane_index[2]):
             self.target_lane_index = self.lane_index
 
     def _change(self, side: int) -> None:
@@ -145,13 +149,13 @@ class CompliantHighwayDriver(IDMVehicle):  # type: ignore[misc]
 
     def _lets_in(self, lane: int) -> bool:
         """Whether the lane exists, and a change into it makes no vehicle but the ego brake hard."""
-        if not 0 <= lane < self._lanes or not self._leaves_room(lane):
+        if not 0 <= lane < self._lanes or not self._leaves_gap(lane):
             return False
         first, last = self.road.neighbour_vehicles(self, (*self.lane_index[:2], lane))
-        asked = [self.acceleration(self, first) if first is not None else 0.0]
+        accelerations = [self.acceleration(self, first) if first is not None else 0.0]
         if last is not None and last is not self.ego:
-            asked.append(self.acceleration(last, self))
-        return bool(min(asked) >= -self.LANE_CHANGE_MAX_BRAKING_IMPOSED)
+            accelerations.append(self.acceleration(last, self))
+        return bool(min(accelerations) >= -self.LANE_CHANGE_MAX_BRAKING_IMPOSED)
 
     def _hold_on(self) -> None:
         """Cancel a lateral target that would leave the ego too little room, while no other lane is touched."""
@@ -164,10 +168,10 @@ class CompliantHighwayDriver(IDMVehicle):  # type: ignore[misc]
             return
         near = abs(at + 2 * across) + 0.5 * self.WIDTH > _TOUCHES - 0.6
         inside = 0 <= k + into < self._lanes
-        if not inside or (near and not self._leaves_room(k + into)):
+        if not inside or (near and not self._leaves_gap(k + into)):
             self.target_lane_index, self.offset = self.lane_index, 0.0
 
-    def _leaves_room(self, lane: int) -> bool:
+    def _leaves_gap(self, lane: int) -> bool:
         """Whether the ego could still stop behind the driver in that lane, or the driver behind the ego."""
         ego = self.ego
         start, end, _ = self.lane_index
@@ -191,8 +195,8 @@ class CompliantHighwayDriver(IDMVehicle):  # type: ignore[misc]
 
     def _acceleration(self) -> float:
         v = max(self.speed, 0.0)
-        held = max(self.held, 0.0) if v < _CRAWL else self.held
-        a = min(held, RULES.acceleration, RULES.power / max(v, 1.0), (RULES.max_speed - v) / self.dt)
+        kept = max(self.drawn_acceleration, 0.0) if v < _CRAWL else self.kept
+        a = min(kept, RULES.acceleration, RULES.power / max(v, 1.0), (RULES.max_speed - v) / self.dt)
         for lane in dict.fromkeys((self.lane_index, self.target_lane_index, self._leaning())):
             first, _ = self.road.neighbour_vehicles(self, lane)
             if first is None:
@@ -202,11 +206,11 @@ class CompliantHighwayDriver(IDMVehicle):  # type: ignore[misc]
                 if gap - BUFFER.longitudinal < _SPARE[0] + self._closing(v, max(first.speed, 0.0)):
                     a = -RULES.braking
             elif lane != self._leaning() or lane == self.lane_index:
-                asked = self.acceleration(self, first)
+                by_idm = self.acceleration(self, first)
                 off = abs(float(self.road.network.get_lane(lane).local_coordinates(first.position)[1]))
                 touches = off - 0.5 * first.WIDTH < _TOUCHES - RULES.marking_tolerance
                 # A vehicle that only comes near the lane is no reason for hard braking.
-                a = min(a, asked if touches else max(asked, -RULES.comfortable_braking))
+                a = min(a, by_idm if touches else max(by_idm, -RULES.comfortable_braking))
         return float(np.clip(a, max(-RULES.braking, -v / self.dt), RULES.acceleration))
 
     def _leaning(self) -> Any:
@@ -269,7 +273,7 @@ class CompliantEpisode:
         return self.breached and not self.named
 
     @property
-    def told(self) -> bool:
+    def is_find(self) -> bool:
         """Whether the episode shows a wrong assumption, by a violation of a compliant driver, or a hole."""
         return self.started and (bool(self.named) or self.unnamed)
 
@@ -283,7 +287,7 @@ class _EpisodeMonitor:
         self.named: dict[str, int] = {}
         base.road.step = self._watched
 
-    def look(self) -> None:
+    def read_violations(self) -> None:
         """Read the violations that the monitor has recorded; the episode is over with the first."""
         if not self.over:
             watch: Any = self._action_filter.core.memory.watch
@@ -292,7 +296,7 @@ class _EpisodeMonitor:
 
     def _watched(self, dt: float) -> None:
         # By now the monitor has checked the previous frame.
-        self.look()
+        self.read_violations()
         self._step(dt)
         if self.over:
             return
@@ -371,7 +375,7 @@ def _drive(env: ShieldedEnv, setting: Setting, seed: int, vehicles: int, decisio
         raise ConfigError(f"bold drivers need a straight highway with meta-actions and a shield, not {setting.name}")
     env.reset(seed=seed)
     install_highway_drivers(base, vehicles, seed)
-    actions, referee, started = np.random.default_rng([seed, 1_000_000]), _EpisodeMonitor(base, action_filter), True
+    actions, monitor, started = np.random.default_rng([seed, 1_000_000]), _EpisodeMonitor(base, action_filter), True
     labels = [str(base.action_type.actions[k]) for k in range(env.action_space.n)]  # type: ignore[attr-defined]
     often = np.array([_OFTEN.get(label, 1.0) for label in labels])
     for step in range(decisions):
@@ -379,13 +383,13 @@ def _drive(env: ShieldedEnv, setting: Setting, seed: int, vehicles: int, decisio
         *_, terminated, truncated, _ = env.step(action)
         if step == 0:
             started = env.decisions[0].tier.verified and env.frame_decisions[0].tier.verified
-        if referee.over or terminated or truncated or not started:
+        if monitor.over or terminated or truncated or not started:
             break
-    if not referee.over:
+    if not monitor.over:
         # The monitor has not checked the last frame yet.
         action_filter.frame()
-        referee.look()
-    return CompliantEpisode(seed, referee.frames, started, referee.clearance, referee.crashed, referee.named)
+        monitor.read_violations()
+    return CompliantEpisode(seed, monitor.frames, started, monitor.clearance, monitor.crashed, monitor.named)
 
 
 def drive_compliant_many(

@@ -97,20 +97,20 @@ class _Episodes:
 
     def of(self, points: FloatArray) -> tuple[FloatArray, IntArray | None]:
         """Random numbers of the scenes (n, draws), and the actions (n, steps) or None, from points (n, dimensions)."""
-        shares = np.minimum(ndtr(points), MOST_SHARE)
-        actions = (shares[:, self.scene :] * self.labels).astype(np.intp) if self._free else None
-        return shares[:, : self.scene], actions
+        uniforms = np.minimum(ndtr(points), MOST_SHARE)
+        actions = (uniforms[:, self.scene :] * self.labels).astype(np.intp) if self._free else None
+        return uniforms[:, : self.scene], actions
 
-    def seeds(self, shares: FloatArray) -> IntArray:
+    def seeds(self, uniforms: FloatArray) -> IntArray:
         """Seeds of the scenes on a road network, (n,)."""
-        return self._first + (shares[:, 0] * _SCENES).astype(np.intp)
+        return self._first + (uniforms[:, 0] * _SCENES).astype(np.intp)
 
     def drive(self, points: FloatArray) -> BatchResult:
         """Drive the episode of each point, and return the results of all."""
-        shares, actions = self.of(points)
+        uniforms, actions = self.of(points)
         if self.seeded:
-            return self._many.run_seeds(self.seeds(shares), actions)
-        return self._many.run_chosen(shares, actions)
+            return self._many.run_seeds(self.seeds(uniforms), actions)
+        return self._many.run_chosen(uniforms, actions)
 
 
 def crash_probability(
@@ -188,16 +188,16 @@ def falsify(
 
     most, jumps = episodes - samples + 1, searched.scene if searched.seeded else 0
     result = subset_simulation(clearance, searched.dimensions, samples, 0.1, seed, most=most, jumps=jumps)
-    shares, actions = searched.of(result.points[:1])
+    uniforms, actions = searched.of(result.points[:1])
     find = Find(
         env_id=setting.env_id,
         config=dict(setting.config),
         shield=config.to_toml(),
         policy=policy if actions is None else ANY,
-        shares=() if searched.seeded else tuple(shares[0].tolist()),
+        shares=() if searched.seeded else tuple(uniforms[0].tolist()),
         actions=() if actions is None else tuple(actions[0].tolist()),
         clearance=float(result.performance[0]),
-        seed=int(searched.seeds(shares)[0]) if searched.seeded else 0,
+        seed=int(searched.seeds(uniforms)[0]) if searched.seeded else 0,
         made=made_with(setting, policy if actions is None else ANY),
     )
     drawn = first[0]
@@ -236,11 +236,11 @@ def falsify_among(
     if episodes < 1:
         raise ConfigError(f"have at least 1 episode, not {episodes}")
     road, driven = setting.override({"lanes_count": lanes}), list[CompliantEpisode]()
-    while len(driven) < episodes and not any(x.told for x in driven):
+    while len(driven) < episodes and not any(x.is_find for x in driven):
         first = seed + len(driven)
         more = range(first, min(first + (1 if jobs == 1 else _AT_ONCE), seed + episodes))
         driven += drive_compliant_many(road, more, config, jobs=jobs)
-    found = next((k for k, x in enumerate(driven) if x.told), len(driven) - 1)
+    found = next((k for k, x in enumerate(driven) if x.is_find), len(driven) - 1)
     driven = driven[: found + 1]
     began = [x for x in driven if x.started]
     if not began:

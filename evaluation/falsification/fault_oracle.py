@@ -41,7 +41,7 @@ class FaultOracle:
     """
 
     def __init__(self, base: Any, network_filter: NetworkFilter) -> None:
-        self._base, self._network_filter, self._step, self._ask = (
+        self._base, self._network_filter, self._step, self._filter_frame = (
             base,
             network_filter,
             base.road.step,
@@ -57,7 +57,7 @@ class FaultOracle:
         self.clearance, self.near, self.nearest_vehicle, self.when = np.inf, np.inf, -1, -1
         self.margin, self.shrunk = np.inf, 0
         base.road.step = self._watched
-        network_filter.frame = self._asked  # type: ignore[method-assign]
+        network_filter.frame = self._observed_frame  # type: ignore[method-assign]
 
     @property
     def over(self) -> bool:
@@ -78,16 +78,16 @@ class FaultOracle:
                 self.clearance, self.nearest_vehicle, self.when = gap, place, self.frames
         self._near = []
 
-    def _asked(self) -> tuple[Any, Decision]:
+    def _observed_frame(self) -> tuple[Any, Decision]:
         before = self._network_filter.watch.last
-        command, decision = self._ask()
+        command, decision = self._filter_frame()
         named = self._network_filter.watch.culprits
         self.settle(named)
         less = {body: now for body, (then, now) in self._network_filter.kept.items() if now < then - _SHRINKS}
         if less and before is not None and self._promised:
-            innocent = less.keys() - named - self._network_filter.have_broken(less, before)
-            self.shrunk += bool(innocent)
-            self.margin = min(self.margin, *(less[body] for body in innocent), np.inf)
+            compliant = less.keys() - named - self._network_filter.have_broken(less, before)
+            self.shrunk += bool(compliant)
+            self.margin = min(self.margin, *(less[body] for body in compliant), np.inf)
         crashes = self._network_filter.by_rule.get(NetworkRule.CRASH, 0)
         # Two vehicles that have crashed slide, and push each other while they overlap. The monitor no longer counts
         # them as violators.
@@ -102,7 +102,7 @@ class FaultOracle:
         base, ego = self._base, self._base.vehicle
         was_over = self.over
         sound = [(k, b) for k, b in enumerate(base.road.vehicles) if b is not ego and not b.crashed]
-        owing = {body for _, body in sound if self._network_filter.is_owed_by(body)}
+        owing = {body for _, body in sound if self._network_filter.has_distance_obligation(body)}
         self._step(dt)
         self.frames += 1
         if was_over or not self._promised:

@@ -117,7 +117,7 @@ def replay(find: Find) -> Find:
         shielded = ShieldedEnv(env, shield, policy=None if find.policy == ANY else policy)
     shielded.reset(seed=find.seed)
     if not on_roads(find.env_id):
-        simulator = Simulator(find.env_id, 1, setting.configured, tape=True)
+        simulator = Simulator(find.env_id, 1, setting.configured, replay_draws=True)
         simulator.reset_to(np.array(find.shares)[None], [0])
         simulator.store(env)
     base: Any = env.unwrapped

@@ -28,7 +28,7 @@ FAIL_SAFE = 9.8
 RandomSource = Any
 """A numpy generator, or an object with the same methods, such as `Script`."""
 NetworkLane = tuple[str, str, int]
-_HELD = 2, 20
+_KEPT_FRAMES = 2, 20
 _CAUTION = 1.0
 """Gap of a compliant driver to the vehicle ahead, beyond its own stopping distance [m]."""
 
@@ -63,14 +63,14 @@ class UnconstrainedNetworkDriver(Vehicle):  # type: ignore[misc]
     def act(self, action: Any = None) -> None:
         """Set throttle and steering for the coming frame; `action` is ignored."""
         if self.left == 0:
-            self.left = int(self.draw.integers(*_HELD))
+            self.left = int(self.draw.integers(*_KEPT_FRAMES))
             hard = self.draw.random() < 0.2
-            self.held = {
+            self.drawn_input = {
                 "acceleration": self.draw.uniform(-8, 8) if hard else self.draw.uniform(-3, 3),
                 "steering": self.draw.normal(0, 0.3 if hard else 0.03),
             }
         self.left -= 1
-        super().act(self.held)
+        super().act(self.drawn_input)
 
 
 class CompliantNetworkDriver(ControlledVehicle):  # type: ignore[misc]
@@ -87,16 +87,16 @@ class CompliantNetworkDriver(ControlledVehicle):  # type: ignore[misc]
         ways: LaneConnections,
     ) -> None:
         """Set the random generators of inputs and of turns, the filter, the duration of a frame [s] and the lanes."""
-        self.draw, self.left, self.held, self.period = draw, 0, 0.0, period
+        self.draw, self.left, self.drawn_input, self.period = draw, 0, 0.0, period
         self.turns, self.ways, self.until = turns, ways, -1.0
         self.network_filter, self.assumptions, self.route = network_filter, network_filter.config.assumptions, None
 
     def act(self, action: Any = None) -> None:
         """Set throttle and steering for the coming frame; `action` is ignored."""
         if self.left == 0:
-            self.left = int(self.draw.integers(*_HELD))
+            self.left = int(self.draw.integers(*_KEPT_FRAMES))
             a = self.assumptions
-            self.held = float(self.draw.choice([-a.braking, 0.0, a.acceleration, a.acceleration]))
+            self.drawn_input = float(self.draw.choice([-a.braking, 0.0, a.acceleration, a.acceleration]))
         self.left -= 1
         self._turn_anywhere()
         steering = float(
@@ -122,17 +122,17 @@ class CompliantNetworkDriver(ControlledVehicle):  # type: ignore[misc]
         """
         rules, dt = self.assumptions, self.period
         limit = self.lane.speed_limit or rules.max_speed
-        held = min(self.held, max(limit - self.speed, -rules.braking * dt) / dt)
+        permitted = min(self.drawn_input, max(limit - self.speed, -rules.braking * dt) / dt)
         first, _ = self.road.neighbour_vehicles(self, self.lane_index)
         if first is not None:
             gap = self.lane_distance_to(first) - self.LENGTH / 2 - first.LENGTH / 2 - _CAUTION
             speed, other = max(self.speed, 0.0), max(first.speed, 0.0)
             way = speed * 2 * dt + (speed + rules.acceleration * dt) ** 2 / (2 * rules.braking)
             if gap < way - other * other / (2 * FAIL_SAFE):
-                held = -rules.braking
+                permitted = -rules.braking
         if self.network_filter.counts_on(self):
-            held = -rules.braking
-        return float(max(held, -max(self.speed, 0.0) / dt))
+            permitted = -rules.braking
+        return float(max(permitted, -max(self.speed, 0.0) / dt))
 
 
 def install_drivers(
@@ -140,7 +140,7 @@ def install_drivers(
     drivers: str,
     vehicles: int,
     seed: int,
-    told: Sequence[tuple[RandomSource, RandomSource]] | None = None,
+    scripts: Sequence[tuple[RandomSource, RandomSource]] | None = None,
 ) -> None:
     """Replace the first vehicles of the traffic by adversaries, in place.
 
@@ -150,7 +150,7 @@ def install_drivers(
     drivers : one of `DRIVERS`.
     vehicles : number of vehicles to replace.
     seed : seed of the drivers' choices.
-    told : for each driver, a source of numbers for its inputs and one for its turns, in place of the seed.
+    scripts : for each driver, a source of numbers for its inputs and one for its turns, in place of the seed.
 
     Raises
     ------
@@ -176,7 +176,7 @@ def install_drivers(
             continue
         driven = kinds[left % len(kinds)](body.road, body.position.copy(), body.heading, body.speed)
         draw = np.random.default_rng([seed, k])
-        habits, turns = (draw, draw) if told is None else told[vehicles - left]
+        habits, turns = (draw, draw) if scripts is None else scripts[vehicles - left]
         driven.take(habits, turns, env.filter, period, ways)
         driven.crashed = body.crashed
         base.road.vehicles[k], left = driven, left - 1

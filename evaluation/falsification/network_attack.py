@@ -71,7 +71,7 @@ def record_blameless_crash(base: Any, network_filter: NetworkFilter) -> list[boo
     step, ego, frame, ask = base.road.step, base.vehicle, count(), network_filter.frame
     promised = False
 
-    def asked() -> tuple[Any, Decision]:
+    def observed_frame() -> tuple[Any, Decision]:
         nonlocal promised
         command, decision = ask()
         promised = promised or decision.tier.verified
@@ -92,7 +92,7 @@ def record_blameless_crash(base: Any, network_filter: NetworkFilter) -> list[boo
             found.append(promised and not (fresh or network_filter.disturbed or network_filter.culprits(hit)))
 
     base.road.step = watched
-    network_filter.frame = asked  # type: ignore[method-assign]
+    network_filter.frame = observed_frame  # type: ignore[method-assign]
     return found
 
 

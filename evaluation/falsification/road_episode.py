@@ -37,23 +37,23 @@ class Script:
 
     Parameters
     ----------
-    shares : numbers from 0 to 1.
+    uniforms : numbers from 0 to 1.
 
     Examples
     --------
-    >>> told = Script([0.0, 0.5, 0.99])
-    >>> told.integers(2, 20), told.choice([-6.0, 0.0, 3.0, 3.0]), told.integers(3)
+    >>> script = Script([0.0, 0.5, 0.99])
+    >>> script.integers(2, 20), script.choice([-6.0, 0.0, 3.0, 3.0]), script.integers(3)
     (2, 3.0, 2)
-    >>> told.uniform(-3.0, 3.0), told.normal(0.0, 0.3)
+    >>> script.uniform(-3.0, 3.0), script.normal(0.0, 0.3)
     (-3.0, 0.0)
     """
 
-    def __init__(self, shares: Sequence[float] | FloatArray) -> None:
-        self._shares, self._next = shares, 0
+    def __init__(self, uniforms: Sequence[float] | FloatArray) -> None:
+        self._uniforms, self._next = uniforms, 0
 
     def random(self) -> float:
         """The next number, from 0 to 1."""
-        share = float(self._shares[self._next % len(self._shares)])
+        share = float(self._uniforms[self._next % len(self._uniforms)])
         self._next += 1
         return share
 
@@ -111,13 +111,13 @@ class RoadNumbers:
         """Numbers of a driver."""
         return _HOLDS[self.drivers] + _TURNS
 
-    def seed(self, shares: FloatArray) -> int:
+    def seed(self, uniforms: FloatArray) -> int:
         """Seed of the scene."""
-        return self.first + int(shares[0] * SCENES)
+        return self.first + int(uniforms[0] * SCENES)
 
-    def scripts(self, shares: FloatArray) -> list[tuple[Script, Script]]:
+    def scripts(self, uniforms: FloatArray) -> list[tuple[Script, Script]]:
         """For each driver, the numbers of its inputs and of its turns."""
-        rows = shares[1 + self.decisions :].reshape(self.vehicles, self.each)
+        rows = uniforms[1 + self.decisions :].reshape(self.vehicles, self.each)
         return [(Script(row[:-_TURNS]), Script(row[-_TURNS:])) for row in rows]
 
 
@@ -175,7 +175,7 @@ class RoadEpisode:
 
 
 def drive_numbers(
-    setting: Setting, numbers: RoadNumbers, shares: FloatArray, config: ShieldConfig | None = None
+    setting: Setting, numbers: RoadNumbers, uniforms: FloatArray, config: ShieldConfig | None = None
 ) -> RoadEpisode:
     """Drive one episode of a shielded ego among adversaries, up to the first hole.
 
@@ -183,7 +183,7 @@ def drive_numbers(
     ----------
     setting : a road network with meta-actions.
     numbers : meaning of the numbers.
-    shares : numbers from 0 to 1, (`numbers.count`,).
+    uniforms : numbers from 0 to 1, (`numbers.count`,).
     config : the shield's settings; the worst case of the road's traffic by default.
 
     Raises
@@ -191,42 +191,42 @@ def drive_numbers(
     ConfigError
         If the shape is wrong, or the environment is no road network with meta-actions.
     """
-    if shares.shape != (numbers.count,):
-        raise ConfigError(f"have {numbers.count} numbers for an episode, not shape {shares.shape}")
+    if uniforms.shape != (numbers.count,):
+        raise ConfigError(f"have {numbers.count} numbers for an episode, not shape {uniforms.shape}")
     with one_thread():
         env = ShieldedEnv(setting.make(), config or WORST_CASE)
         try:
-            return _drive(env, setting, numbers, shares)
+            return _drive(env, setting, numbers, uniforms)
         finally:
             env.close()
 
 
-def _drive(env: ShieldedEnv, setting: Setting, numbers: RoadNumbers, shares: FloatArray) -> RoadEpisode:
+def _drive(env: ShieldedEnv, setting: Setting, numbers: RoadNumbers, uniforms: FloatArray) -> RoadEpisode:
     base: Any = env.unwrapped
-    network_filter, seed = env.filter, numbers.seed(shares)
+    network_filter, seed = env.filter, numbers.seed(uniforms)
     if not isinstance(network_filter, NetworkFilter):
         raise ConfigError(f"{setting.name} is no road network with meta-actions, which this attacks")
     env.reset(seed=seed)
-    install_drivers(env, numbers.drivers, numbers.vehicles, seed, numbers.scripts(shares))
-    referee, ended = FaultOracle(base, network_filter), False
-    for share in shares[1 : 1 + numbers.decisions]:
+    install_drivers(env, numbers.drivers, numbers.vehicles, seed, numbers.scripts(uniforms))
+    oracle, ended = FaultOracle(base, network_filter), False
+    for share in uniforms[1 : 1 + numbers.decisions]:
         *_, terminated, truncated, _ = env.step(int(share * env.action_space.n))  # type: ignore[attr-defined]
         ended = bool(terminated or truncated)
-        if ended or referee.over:
+        if ended or oracle.over:
             break
-    if not referee.over:
+    if not oracle.over:
         # The monitor has not checked the last frame yet.
         network_filter.frame()
     return RoadEpisode(
         seed=seed,
-        frames=referee.frames,
-        counted=referee.counted,
-        clearance=float(referee.clearance),
-        near=float(referee.near),
-        shrunk=referee.shrunk,
-        margin=float(referee.margin),
+        frames=oracle.frames,
+        counted=oracle.counted,
+        clearance=float(oracle.clearance),
+        near=float(oracle.near),
+        shrunk=oracle.shrunk,
+        margin=float(oracle.margin),
         crashed=bool(base.vehicle.crashed),
         by_rule=network_filter.by_rule,
-        nearest_vehicle=referee.nearest_vehicle,
-        when=referee.when,
+        nearest_vehicle=oracle.nearest_vehicle,
+        when=oracle.when,
     )

@@ -52,13 +52,13 @@ class Strata:
 
     def draw(self, stratum: int, count: int, rng: np.random.Generator) -> FloatArray:
         """Random numbers of `count` scenes of a stratum, (count, draws)."""
-        shares = rng.random((count, 2 + 4 * self.others))
-        ego = (shares[:, 0] * self.lanes).astype(np.intp)
+        uniforms = rng.random((count, 2 + 4 * self.others))
+        ego = (uniforms[:, 0] * self.lanes).astype(np.intp)
         same = rng.permuted(np.tile(np.arange(self.others) < stratum, (count, 1)), axis=1)
         away = rng.integers(1, self.lanes, (count, self.others))
         lanes = (ego[:, None] + np.where(same, 0, away)) % self.lanes
-        shares[:, 2::4] = (lanes + rng.random(lanes.shape)) / self.lanes
-        return np.minimum(shares, _MOST)
+        uniforms[:, 2::4] = (lanes + rng.random(lanes.shape)) / self.lanes
+        return np.minimum(uniforms, _MOST)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

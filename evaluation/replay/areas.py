@@ -99,7 +99,7 @@ def _interval_areas(
 
 
 def _bodies(source: SimulatedDecisionData, frames: int, column: BodyColumns) -> list[ReplayArea]:
-    rows, ego = source.foretold()
+    rows, ego = source.predicted()
     if not len(rows):
         return []
     row = rows[min(frames, len(rows) - 1)]

@@ -135,7 +135,7 @@ def drive_many(
             sums.begin(e)
             if driver.skills is not None:
                 driver.skills.begin(e)
-            begin_tally(tallies, e, scene, not highways.look(e, scene), False)
+            begin_tally(tallies, e, scene, not highways.write_rows(e, scene), False)
 
     with one_thread():
         follow(np.arange(n))

@@ -83,7 +83,7 @@ class Many:
                 f"{policy!r} does not drive side by side; have {', '.join(_BATCH_POLICIES)}, references and zip files"
             )
         self._highways = batch_for(setting.env_id, config)(
-            setting.env_id, envs, setting.configured, config, tape=chosen
+            setting.env_id, envs, setting.configured, config, replay_draws=chosen
         )
         self._setting, self._policy, self._config = setting, policy, config
         self.steps = self._highways.steps
@@ -133,12 +133,12 @@ class Many:
         """Number of random numbers of a scene (see `Simulator.draws`)."""
         return int(self._highways.simulator.draws)
 
-    def run_chosen(self, shares: FloatArray, actions: IntArray | None = None) -> BatchResult:
+    def run_chosen(self, uniforms: FloatArray, actions: IntArray | None = None) -> BatchResult:
         """Drive episodes in chosen scenes.
 
         Parameters
         ----------
-        shares : random numbers of each scene, (n, `draws`), see `Simulator.reset_to`.
+        uniforms : random numbers of each scene, (n, `draws`), see `Simulator.reset_to`.
         actions : proposals of each episode, (n, steps); those of the policy by default.
 
         Returns
@@ -154,10 +154,10 @@ class Many:
             raise ConfigError("random actions go by an episode's seed; in scenes of one's own choice have actions=")
 
         def begin(i: int, k: int) -> None:
-            self._highways.reset_to(shares[k : k + 1], [i])
+            self._highways.reset_to(uniforms[k : k + 1], [i])
             self._drivers.begin(i, 0)
 
-        return self._run(len(shares), begin, actions)
+        return self._run(len(uniforms), begin, actions)
 
     def run_seeds(self, seeds: Sequence[int] | IntArray, actions: IntArray | None = None) -> BatchResult:
         """Drive the episodes of the seeds (n,); `actions` and the result are those of `run_chosen`."""
@@ -218,7 +218,7 @@ class Many:
                 return
             place[i] = left
             begin(i, left)
-            on_road = highways.look(i, scene)
+            on_road = highways.write_rows(i, scene)
             begin_tally(tallies, i, scene, not on_road, times)
             self._measures.begin(i, float(scene[0, 3]))
             left += 1

@@ -15,7 +15,7 @@ from dynamics.highway_simulator.arrays import Worlds
 from dynamics.highway_simulator.env import CompiledHighwayEnv
 from dynamics.highway_simulator.requests import checked_steps
 from dynamics.highway_simulator.simulator import Simulator
-from dynamics.highway_simulator.step_kernels import look
+from dynamics.highway_simulator.step_kernels import write_rows
 from dynamics.slices import Slices
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.batch.arrays import empty_records
@@ -34,7 +34,7 @@ class FilteredHighways(ABC):
 
     Parameters
     ----------
-    env_id, num_envs, config, threads, tape : as in `Simulator`.
+    env_id, num_envs, config, threads, replay_draws : as in `Simulator`.
     shield : settings, or the path of a TOML file with them.
 
     Raises
@@ -57,10 +57,10 @@ class FilteredHighways(ABC):
         config: Mapping[str, Any] | None = None,
         shield: ShieldConfig | str | Path | None = None,
         threads: int = 1,
-        tape: bool = False,
+        replay_draws: bool = False,
     ) -> None:
         self.config, self.num_envs = self._settings(shield), num_envs
-        self.simulator: Any = self._traffic(env_id, num_envs, config, tape)
+        self.simulator: Any = self._traffic(env_id, num_envs, config, replay_draws)
         scenario = self.simulator.scenario
         if scenario.inputs is not None:
             raise ConfigError("many shields at once filter meta-actions; this environment has ContinuousAction")
@@ -76,9 +76,9 @@ class FilteredHighways(ABC):
         self._slices = Slices(num_envs, threads)
         self._prepare(len(self._slices.bounds))
 
-    def _traffic(self, env_id: str, num_envs: int, config: Mapping[str, Any] | None, tape: bool) -> Any:
+    def _traffic(self, env_id: str, num_envs: int, config: Mapping[str, Any] | None, replay_draws: bool) -> Any:
         """The simulator."""
-        return Simulator(env_id, num_envs, config, tape=tape)
+        return Simulator(env_id, num_envs, config, replay_draws=replay_draws)
 
     @abstractmethod
     def _settings(self, shield: ShieldConfig | str | Path | None) -> ShieldConfig:
@@ -119,17 +119,17 @@ class FilteredHighways(ABC):
         found: NDArray[np.float32] = observations
         return found
 
-    def reset_to(self, shares: FloatArray, which: Sequence[int]) -> NDArray[np.float32]:
+    def reset_to(self, uniforms: FloatArray, which: Sequence[int]) -> NDArray[np.float32]:
         """Start episodes in given scenes; see `Simulator.reset_to`."""
-        observations = self.simulator.reset_to(shares, which)
+        observations = self.simulator.reset_to(uniforms, which)
         for e in which:
             self._forget(e)
         found: NDArray[np.float32] = observations
         return found
 
-    def look(self, e: int, rows: FloatArray) -> bool:
+    def write_rows(self, e: int, rows: FloatArray) -> bool:
         """Write the bodies of one environment to `rows`, (m, 7). Return whether the ego is on the road."""
-        return bool(look(self.simulator.worlds, self.simulator.scenario.rules, e, rows))
+        return bool(write_rows(self.simulator.worlds, self.simulator.scenario.rules, e, rows))
 
     @property
     def worlds(self) -> Worlds:

@@ -30,7 +30,7 @@ class ShieldedHighways(FilteredHighways):
 
     Parameters
     ----------
-    env_id, num_envs, config, threads, tape : as in `Simulator`.
+    env_id, num_envs, config, threads, replay_draws : as in `Simulator`.
     shield : settings, or the path of a TOML file with them; of mode "full", with repair "hold" and without `record`, or
         of mode "none".
 

@@ -9,7 +9,7 @@ from dynamics.compiled import kernel_no_refcount
 from dynamics.highway_simulator.arrays import Simulation
 from dynamics.highway_simulator.layout import SPEED, TARGET, TARGET_SPEED
 from dynamics.highway_simulator.neighbours import sort
-from dynamics.highway_simulator.step_kernels import advance, begin, begin_next_episode, finish, look
+from dynamics.highway_simulator.step_kernels import advance, begin, begin_next_episode, finish, write_rows
 from dynamics.pass_by_pointer import address_of
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.batch.arrays import BatchMemory, BatchPointers, BatchRecords, BatchWorkspace
@@ -130,7 +130,7 @@ def step_all_shielded(
                     throttle = max(records.accelerations[e, k], -max(worlds.f[e, SPEED, 0], 0.0) * frequency)
             level = advance(machine, worlds, rules, work, e, level, throttle, math.nan)
             shields.clock[e] += 1
-            frames.off_road[e, k] = not look(worlds, rules, e, frames.rows[e, k])
+            frames.off_road[e, k] = not write_rows(worlds, rules, e, frames.rows[e, k])
         finish(machine, worlds, rules, view, work, seen, e)
         if not off and (seen.terminated[e] or seen.truncated[e]):
             # The last frame of an episode is observed although no decision follows.

@@ -87,13 +87,13 @@ class NetworkDecisionData:
 
     def _best(self) -> JudgedCandidate:
         """The best candidate of the proposal, none of which verifies."""
-        wished = [course for course, tier in self.tried if tier is Tier.PASSED]
+        wished = [manoeuvre for manoeuvre, tier in self.tried if tier is Tier.PASSED]
         frames, lanes, many = self.others.least.shape[1] - 3, len(self.road.circles), len(self.identities)
-        trial, bodies = empty_rollout(frames, lanes, many), empty_rollout(frames, lanes, 0)
+        rollout, bodies = empty_rollout(frames, lanes, many), empty_rollout(frames, lanes, 0)
         # The check writes into these two arrays, and the decision still uses its own.
         others = self.others._replace(waits=self.others.waits.copy(), shut=self.others.shut.copy())
         courses = np.array(wished, float)
-        found: JudgedCandidate = choose(self.alone, self.road, self.body, others, courses, trial, bodies)
+        found: JudgedCandidate = choose(self.alone, self.road, self.body, others, courses, rollout, bodies)
         return found
 
 

@@ -36,7 +36,7 @@ class SimulatedDecisionData:
     proposal : an action, or acceleration [m/s^2] and wheel angle [rad], (2,). labels : of the actions; empty for
         inputs.
     hint : planned actions, tried first after the proposal.
-    team : columns, plans and frames of the other egos (`shield.certificate.simulated.workspace.OtherEgos`); None
+    other_egos : columns, plans and frames of the other egos (`shield.certificate.simulated.workspace.OtherEgos`); None
         without.
     """
 
@@ -47,7 +47,7 @@ class SimulatedDecisionData:
     proposal: Any
     labels: Sequence[str]
     hint: IntArray
-    team: tuple[Any, ...] | None = None
+    other_egos: tuple[Any, ...] | None = None
 
     def __reduce__(self) -> Any:
         return type(None), ()
@@ -64,7 +64,7 @@ class SimulatedDecisionData:
 
         rows, ego = np.zeros((0, 0, 7)), 0
         if at.reason in (Reason.UNVERIFIED, Reason.NO_SAFE_PLAN):
-            rows, ego = self.foretold()
+            rows, ego = self.predicted()
         if not len(rows):
             return nothing_judged(at, record, name, nan, proposal, number_of_frame)
         lost = (
@@ -120,17 +120,17 @@ class SimulatedDecisionData:
 
     def rehearse(self) -> None:
         """Call every kernel of an explanation, so that it is compiled."""
-        rows, ego = self.foretold()
+        rows, ego = self.predicted()
         self._gaps(np.repeat(rows[:1, [ego]], 2, axis=1), 0)
 
-    def foretold(self) -> tuple[FloatArray, int]:
+    def predicted(self) -> tuple[FloatArray, int]:
         """Predicted bodies now and at each frame, (frames + 1, m, 7), and the column of the ego.
 
         The ego executes the proposal, and then the sequence that keeps the buffer longest.
         """
         search = _with_own_buffers(self.search)
-        if self.team is not None:
-            search.team.columns[:], search.team.plans[:], search.team.since[0] = self.team
+        if self.other_egos is not None:
+            search.other_egos.columns[:], search.other_egos.plans[:], search.other_egos.since[0] = self.other_egos
         frames = (search.bounds.depth + 2) * int(search.rules.numbers[0])
         rows, inputs, action = np.zeros((2 + frames, search.futures.f.shape[2], 7)), np.full(2, np.nan), self.proposal
         if isinstance(action, np.ndarray):
@@ -154,8 +154,8 @@ def _with_own_buffers(search: TrafficSearch) -> TrafficSearch:
     return search._replace(
         futures=futures._replace(**{name: getattr(futures, name)[:few].copy() for name in futures._fields}),
         **{name: getattr(search, name).copy() for name in arrays},
-        team=own(search.team),
-        dead=own(search.dead),
+        other_egos=own(search.other_egos),
+        dead_ends=own(search.dead_ends),
         resting=own(search.resting),
     )
 

@@ -50,7 +50,7 @@ class InputFrames(ABC):
         check_configuration(base, self.config)
         self.actuators = Actuators.of(base.action_type)
         self._period = frames_of(base)
-        self._cruise = SpeedRecovery(self.actuators)
+        self._speed_recovery = SpeedRecovery(self.actuators)
         self._untouched = True
         self._proposal: FloatArray | None = None
         self._first: tuple[FloatArray, Decision] | None = None

@@ -139,7 +139,7 @@ class InputFilter(InputFrames):
         scene = read(self._reader, self._stopping())
         self.cause = scene.cause if isinstance(scene, Unreadable) else ""
         if proposal is not None and not isinstance(scene, Unreadable) and scene.finite and not self._agent:
-            proposal = self._cruise.proposal(proposal, float(scene.ego[State.SPEED]))
+            proposal = self._speed_recovery.proposal(proposal, float(scene.ego[State.SPEED]))
         decision = self.core.decide(scene, proposal)
         inputs: FloatArray = decision.executed
         if decision.tier is Tier.PASSED and self._proposal is not None and inputs[0] != self._proposal[0]:

@@ -43,7 +43,7 @@ from shield.supported_environments import refuse_simulated
 
 __all__ = ["NetworkFilter"]
 
-_OF_A_DECISION = ("_wish", "_left", "_ready", "_others", "_identities", "_trial")
+_OF_A_DECISION = ("_target_command", "_left", "_ready", "_others", "_identities", "_rollout")
 """Attributes that a decision writes and its frames read."""
 
 
@@ -91,9 +91,9 @@ class NetworkFilter:
         self._past.update(self.watch.by_rule)
         self.watch = NetworkMonitor()
         self._network: Any = None
-        self._dues = RightOfWayObligations()
+        self._obligations = RightOfWayObligations()
         self._stored: EgoManoeuvre | None = None
-        self._wish: TargetCommand | None = None
+        self._target_command: TargetCommand | None = None
         self._left = self._judged = -1
         self.disturbed = False
         self.kept: dict[Any, tuple[float, float]] = {}
@@ -131,18 +131,18 @@ class NetworkFilter:
     @property
     def foreseen(self) -> NetworkPrediction:
         """Prediction that the last decision used."""
-        return prediction_of(self._others, self._trial, self._names)
+        return prediction_of(self._others, self._rollout, self._names)
 
     def counts_on(self, body: Any) -> bool:
         """Whether another vehicle is expected to wait for the ego, and has had its reaction time.
 
         Unless that vehicle brakes now, it may violate the right of way (`shield.certificate.network.monitor`).
         """
-        return self._dues.counts_on(body, self._road.duty.reaction)
+        return self._obligations.counts_on(body, self._road.response.reaction)
 
-    def is_owed_by(self, body: Any) -> bool:
+    def has_distance_obligation(self, body: Any) -> bool:
         """Whether another vehicle has a distance obligation: it is behind the ego, and is expected to brake in time."""
-        return self._dues.is_owed_by(body)
+        return self._obligations.has_distance_obligation(body)
 
     def culprits(self, bodies: Iterable[Any]) -> set[Any]:
         """Those of the vehicles in a crash with the ego that are violators, including a violation since the last
@@ -151,7 +151,7 @@ class NetworkFilter:
         for body in hit:
             body.crashed = False
         try:
-            seen = self._look()
+            seen = self._predict()
             load_ego(self._base, self._alone.rules, self._index, self._alone.worlds)
             self._alone.worlds.g[0, [CRASHED, IMPACTED]] = 0
             late = set() if self._stored is None else self._braking.now(self._stored, seen)[1]
@@ -199,7 +199,7 @@ class NetworkFilter:
                 decision = replace(decision, reason=Reason.BAD_ACTION, tier=Tier.ALTERNATIVE)
         except Exception as error:
             reason, self.cause = scene_failure(error)
-            self._wish, proposed = None, self._idle()
+            self._target_command, proposed = None, self._idle()
             decision = Decision(shown, proposed, reason, Tier.EMERGENCY, np.nan, 0.0)
         return replace(decision, proposed=shown, executed=proposed, latency=perf_counter() - start)
 
@@ -210,8 +210,8 @@ class NetworkFilter:
             if self._ready is None:
                 self._read()
                 self._ready = self._choose()
-            (course, decision), self._ready = self._ready, None
-            self._go(course, decision.tier)
+            (manoeuvre, decision), self._ready = self._ready, None
+            self._go(manoeuvre, decision.tier)
             command = self._command(decision.tier)
             executed = decision.executed if command is None else command
             return command, replace(decision, executed=executed, latency=perf_counter() - start)
@@ -243,7 +243,7 @@ class NetworkFilter:
         mask = np.zeros(len(self._base.action_type.actions), dtype=bool)
         try:
             check_readable(self._see())
-            self._trial = empty_rollout(self._frames, len(self._names), len(self._identities))
+            self._rollout = empty_rollout(self._frames, len(self._names), len(self._identities))
             for action in range(len(mask)):
                 load_ego(self._base, self._alone.rules, self._index, self._alone.worlds)
                 self._intend(action)
@@ -256,7 +256,7 @@ class NetworkFilter:
         """Set the target command of a meta-action."""
         alone, self._left = self._alone, self._bound
         command(alone.machine, alone.worlds, alone.rules, 0, 0, action)
-        self._wish = TargetCommand(self._bound, float(alone.worlds.f[0, TARGET_SPEED, 0]))
+        self._target_command = TargetCommand(self._bound, float(alone.worlds.f[0, TARGET_SPEED, 0]))
 
     def _idle(self) -> int:
         """Index of IDLE, or of SLOWER where there is no IDLE."""
@@ -285,11 +285,11 @@ class NetworkFilter:
         self._network, self._index = base.road.network, index_of(base.road.network)
         self._names = list(self._index)
         self._road = network_context(base, self._alone, self.config)
-        self._bare = without_buffer(self._road)
+        self._without_buffer = without_buffer(self._road)
         self._frames = frames_of(self._frequency, self.config.braking)
         self._braking: LateBraking = LateBraking.on(self._alone, self._road, self._frames, stays)
-        self._outlook = NetworkPredictor(base, self._alone, self._road, self._frames)
-        self._trial = empty_rollout(self._frames, len(self._names), 0)
+        self._predictor = NetworkPredictor(base, self._alone, self._road, self._frames)
+        self._rollout = empty_rollout(self._frames, len(self._names), 0)
 
     def _read(self) -> None:
         """Read the scene and, once a frame, run the monitor."""
@@ -306,19 +306,19 @@ class NetworkFilter:
         if base.road.network is not self._network or length_of_route(base) > self._alone.worlds.routes.shape[2]:
             self._furnish()
         load_ego(base, self._alone.rules, self._index, self._alone.worlds)
-        seen = self._look()
+        seen = self._predict()
         self._others, self._identities = seen.others, seen.identities
-        if len(self._trial.margins) != len(seen.identities):
-            self._trial = empty_rollout(self._frames, len(self._names), len(seen.identities))
+        if len(self._rollout.margins) != len(seen.identities):
+            self._rollout = empty_rollout(self._frames, len(self._names), len(seen.identities))
         if self.watch.last is None:
             # At the beginning every follower has seen the ego for long enough to react.
             self._try(stopping(self._bound, self.config.braking))
             self._keep_distance(seen.identities, True)
         return seen
 
-    def _look(self) -> NetworkObservation:
+    def _predict(self) -> NetworkObservation:
         """Predict the reachable places of the other vehicles."""
-        return self._outlook.look(self._dues)
+        return self._predictor.predict(self._obligations)
 
     def _watch(self, seen: NetworkObservation) -> None:
         """Run the monitor on the motions since the last scene."""
@@ -341,37 +341,39 @@ class NetworkFilter:
         worlds = self._alone.worlds
         return bool(on_way(self._alone.rules, worlds.f[0], worlds.g[0])[1])
 
-    def _try(self, course: EgoManoeuvre) -> None:
+    def _try(self, manoeuvre: EgoManoeuvre) -> None:
         """Write the rollout of a candidate to the trial buffer; vehicles with a distance obligation keep their
         distance."""
-        try_candidate(self._alone, self._road, self._others, np.array(course, float), True, self._trial)
+        try_candidate(self._alone, self._road, self._others, np.array(manoeuvre, float), True, self._rollout)
 
     def _keep_distance(self, identities: list[Any], verified: bool) -> None:
         """Update the distance obligations for the candidate in the trial buffer."""
-        self._dues.keep_distance(identities, self._others, self._trial, self._road, verified)
+        self._obligations.keep_distance(identities, self._others, self._rollout, self._road, verified)
 
     def _choose(self) -> tuple[EgoManoeuvre, Decision]:
         """The chosen candidate, and the record."""
         alone, braking = self._alone, self.config.braking
-        if self._wish is None:
-            self._wish = TargetCommand(self._bound, float(alone.worlds.f[0, TARGET_SPEED, 0]))
-        speed, several = float(alone.worlds.f[0, SPEED, 0]), self._road.lanes.ids[self._wish.lane, COUNT] > 1
-        tried = list(candidates_of(self._wish, self._stored, speed, self._lanes(), several, self._frequency, braking))
-        courses = np.array([course for course, _ in tried], float)
-        room = self._trial, self._braking.bodies
-        found: JudgedCandidate = choose(alone, self._road, self._bare.body, self._others, courses, *room)
-        margin, binding, evades = found.margin, found.vehicle, found.innocent >= CLEAR
+        if self._target_command is None:
+            self._target_command = TargetCommand(self._bound, float(alone.worlds.f[0, TARGET_SPEED, 0]))
+        speed, several = float(alone.worlds.f[0, SPEED, 0]), self._road.lanes.ids[self._target_command.lane, COUNT] > 1
+        tried = list(
+            candidates_of(self._target_command, self._stored, speed, self._lanes(), several, self._frequency, braking)
+        )
+        courses = np.array([manoeuvre for manoeuvre, _ in tried], float)
+        room = self._rollout, self._braking.bodies
+        found: JudgedCandidate = choose(alone, self._road, self._without_buffer.body, self._others, courses, *room)
+        margin, binding, evades = found.margin, found.vehicle, found.compliant_margin >= CLEAR
         if margin < CLEAR and found.clear == 0:
             # No candidate keeps the buffer: choose by the bodies alone (collision mitigation).
-            evades, found = False, mitigate(alone, self._bare, self._others, courses, speed, *room)
-        course, tier = tried[found.course]
+            evades, found = False, mitigate(alone, self._without_buffer, self._others, courses, speed, *room)
+        manoeuvre, tier = tried[found.manoeuvre]
         reason = Reason.NONE if tier is Tier.PASSED else Reason.UNVERIFIED
         if margin < CLEAR:
             reason = Reason.NO_SAFE_PLAN
             tier = Tier.EVADED if evades else Tier.LARGEST_MARGIN
         source = None if tier is Tier.PASSED else self._kept(tried)
         plan = self.foreseen.path if self.config.record else None
-        return course, Decision(-1, -1, reason, tier, float(margin), 0.0, plan, vehicle=int(binding), source=source)
+        return manoeuvre, Decision(-1, -1, reason, tier, float(margin), 0.0, plan, vehicle=int(binding), source=source)
 
     def _kept(self, tried: list[tuple[EgoManoeuvre, Tier]]) -> Source:
         """Data for an explanation of the decision."""
@@ -379,7 +381,7 @@ class NetworkFilter:
         return network_decision_data(
             self._alone,
             road=self._road,
-            body=self._bare.body,
+            body=self._without_buffer.body,
             others=self._others,
             identities=self._identities,
             tried=tried,
@@ -388,24 +390,26 @@ class NetworkFilter:
             size=(float(ego.LENGTH), float(ego.WIDTH)),
         )
 
-    def _go(self, course: EgoManoeuvre, tier: Tier) -> None:
+    def _go(self, manoeuvre: EgoManoeuvre, tier: Tier) -> None:
         """Record the chosen candidate, and update the obligations from its rollout in the trial buffer."""
         identities = [] if self.watch.last is None else self.watch.last.identities
-        self._then = {body: float(self._trial.margins[i]) for i, body in enumerate(identities)} if tier.verified else {}
+        self._then = (
+            {body: float(self._rollout.margins[i]) for i, body in enumerate(identities)} if tier.verified else {}
+        )
         self.disturbed = self.disturbed and not tier.verified
         self._keep_distance(identities, tier.verified)
-        self._braking.remember(course, identities, self._others)
-        if self._road.duty.gives_way:
-            self._dues.give_way(identities, self._others, self._trial, self._road, tier.verified)
-        bound = int(self._trial.bound[0])
-        self._stored = remainder_after_frame(course, bound)
-        if self._wish is not None and course.lane == self._wish.lane and course.frames >= 1:
-            self._wish = self._wish._replace(lane=bound)
+        self._braking.remember(manoeuvre, identities, self._others)
+        if self._road.response.gives_way:
+            self._obligations.give_way(identities, self._others, self._rollout, self._road, tier.verified)
+        bound = int(self._rollout.bound[0])
+        self._stored = remainder_after_frame(manoeuvre, bound)
+        if self._target_command is not None and manoeuvre.lane == self._target_command.lane and manoeuvre.frames >= 1:
+            self._target_command = self._target_command._replace(lane=bound)
 
     def _command(self, tier: Tier) -> Command:
         """Low-level action of the frame; None if the environment's own is the same."""
-        ego, lane = self._base.vehicle, self._names[int(self._trial.bound[0])]
-        if tier is Tier.PASSED and self._index[ego.target_lane_index] == int(self._trial.bound[0]):
+        ego, lane = self._base.vehicle, self._names[int(self._rollout.bound[0])]
+        if tier is Tier.PASSED and self._index[ego.target_lane_index] == int(self._rollout.bound[0]):
             return None
         ego.target_lane_index = lane
-        return {"acceleration": float(self._trial.first[0]), "steering": float(self._trial.first[1])}
+        return {"acceleration": float(self._rollout.first[0]), "steering": float(self._rollout.first[1])}

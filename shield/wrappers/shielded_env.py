@@ -200,8 +200,8 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         if self._episode.decisions and not self._summed:
             info["shield_episode"] = self._episode.summary()
         kind = self._kind()
-        inputs, team = kind == "ContinuousAction", kind == "MultiAgentAction"
-        same = inputs is isinstance(self._filter, InputFilter | SimulatedInputFilter) and team is isinstance(
+        inputs, several_egos = kind == "ContinuousAction", kind == "MultiAgentAction"
+        same = inputs is isinstance(self._filter, InputFilter | SimulatedInputFilter) and several_egos is isinstance(
             self._filter, MultiAgentFilter
         )
         if not same:

@@ -134,7 +134,7 @@ class _Stage:
                 continue
             row = np.array([[*body.position, body.heading, body.speed, body.LENGTH, body.WIDTH, 0.0]])
             wanted = gap_between(it, half + buffer.longitudinal, wide + buffer.lateral, row, 0, 0.0)
-            owes = self.network_filter.is_owed_by(body)
+            owes = self.network_filter.has_distance_obligation(body)
             self.tally.owed += owes and wanted < 0
             gap = gap_between(it, half, wide, row, 0, 0.0) if owes else wanted
             touched += gap < -1e-6
@@ -173,7 +173,7 @@ class _Stage:
         network_filter, out = self.network_filter, np.zeros(len(riders), bool)
         for rider, row in zip(riders, rows, strict=True):
             rider.put(row)
-        seen = network_filter._look()
+        seen = network_filter._predict()
         load_ego(self.base, network_filter._alone.rules, network_filter._index, network_filter._alone.worlds)
         margins, late = None, set()
         if network_filter._stored is not None and not self.base.vehicle.crashed and not network_filter._at_end():

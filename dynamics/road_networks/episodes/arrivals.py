@@ -41,7 +41,7 @@ from dynamics.state import FloatArray, IntArray
 __all__ = ["ArrivalRules", "clear_and_spawn", "spawn_intersection"]
 
 _ARMS = 4
-_FIRST, _FAST, _ROOM, _EGO_ROOM = 5.0, 8.0, 15.0, 20.0
+_FIRST, _FAST, _SPAWN_DISTANCE, _EGO_SPAWN_DISTANCE = 5.0, 8.0, 15.0, 20.0
 """Position [m] and speed [m/s] of a new vehicle, and its least distance to all others; and at the reset, to the ego
 [m]."""
 _SECONDS = 3
@@ -96,7 +96,7 @@ def _spawn_new(
     x, y = place(lanes, coming.arms[start], s)
     for v in range(i):
         dx, dy = f[X, v] - x, f[Y, v] - y
-        if math.sqrt(dot2(lanes.sums, dx, dx, dy, dy)) < _ROOM:
+        if math.sqrt(dot2(lanes.sums, dx, dx, dy, dy)) < _SPAWN_DISTANCE:
             return i
     place_vehicle(scene, traffic, i, False, x, y, heading_at(lanes, coming.arms[start], s), speed)
     set_route(scene, traffic, i, goal)
@@ -187,7 +187,7 @@ def spawn_intersection(
     f = worlds.f[e]
     for i in range(n + 1):
         dx, dy = f[X, i] - f[X, n], f[Y, i] - f[Y, n]
-        near = math.sqrt(dot2(machine.sums, dx, dx, dy, dy)) < _EGO_ROOM
+        near = math.sqrt(dot2(machine.sums, dx, dx, dy, dy)) < _EGO_SPAWN_DISTANCE
         busy[i] = 1 if i < n and near else 0
     _remove_marked(worlds, traffic, e, busy)
 

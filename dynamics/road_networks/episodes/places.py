@@ -34,7 +34,7 @@ class _Row:
     speed: float
     _: KW_ONLY
     ego: bool = False
-    law: int = AT
+    distribution: int = AT
     many: int = 1
     tries: int = 1
     lanes: int = 1
@@ -56,7 +56,7 @@ class _Row:
     @property
     def integers(self) -> list[int]:
         """The row of `PlacementTables.tables` with INTEGERS columns."""
-        drawing = [0 if self.ego else 1, self.law, self.many, self.tries, self.lane, self.lanes, self.drawn]
+        drawing = [0 if self.ego else 1, self.distribution, self.many, self.tries, self.lane, self.lanes, self.drawn]
         return [*drawing, int(self.headed), *self.goals, int(self.varies), int(self.changes), self.bound_for]
 
 
@@ -103,7 +103,7 @@ def _merge_generic(base: Any, numbers: Mapping[LaneKey, int]) -> PlacementTables
     count = int(config["lanes_count"])
     lanes = [numbers["a", "b", k] for k in range(count)]
     length = config["before_merge_length"] + config["converge_merge_length"] + config["parallel_merge_length"]
-    scattered: dict[str, Any] = {"law": SCATTERED, "many": max(0, int(config["vehicles_count"])), "tries": 10}
+    scattered: dict[str, Any] = {"distribution": SCATTERED, "many": max(0, int(config["vehicles_count"])), "tries": 10}
     return PlacementTables(
         [
             _Row(lanes[-1], 30.0, 30.0, ego=True, headed=False),
@@ -120,8 +120,8 @@ def _merge_generic(base: Any, numbers: Mapping[LaneKey, int]) -> PlacementTables
 def _roundabout(base: Any, numbers: Mapping[LaneKey, int]) -> PlacementTables:
     """Vehicles of `RoundaboutEnv`."""
     goals = ("exr", "sxr", "nxr", "nxs")
-    asked, anywhere = base.config["incoming_vehicle_destination"], (0, 3)
-    fixed = anywhere if asked is None else (range(3)[asked], 1)
+    destination, anywhere = base.config["incoming_vehicle_destination"], (0, 3)
+    fixed = anywhere if destination is None else (range(3)[destination], 1)
     drawn: dict[str, Any] = {"drawn": NORMAL, "spreads": (2.0, 2.0), "varies": True}
     return PlacementTables(
         [
@@ -139,13 +139,13 @@ def _roundabout_generic(base: Any, numbers: Mapping[LaneKey, int]) -> PlacementT
     """Vehicles of `RoundaboutGenericEnv`."""
     config, graph = base.config, base.road.network.graph
     goals = ("exr", "sxr", "nxr", "wxr", "nxs")
-    asked = config.get("incoming_vehicle_destination")
-    aims = (0, 4) if asked is None else (range(4)[min(asked, 3)], 1)
+    destination = config.get("incoming_vehicle_destination")
+    aims = (0, 4) if destination is None else (range(4)[min(destination, 3)], 1)
     own = graph["ser"]["ses"][0].length - 2.5
     roads = [(numbers[a, b, 0], len(graph[a][b])) for a, b in _DEPARTURES]
     lengths = {numbers[a, b, k]: lane.length for a, b in _DEPARTURES for k, lane in enumerate(graph[a][b])}
     drawn: dict[str, Any] = {"drawn": NORMAL, "spreads": (0.0, 2.0), "varies": True}
-    scattered: dict[str, Any] = {"law": SCATTERED, "many": max(0, int(config["vehicles_count"])), "tries": 10}
+    scattered: dict[str, Any] = {"distribution": SCATTERED, "many": max(0, int(config["vehicles_count"])), "tries": 10}
     return PlacementTables(
         [
             _Row(numbers["ser", "ses", 0], own, 8.0, ego=True, goals=(4, 1)),
@@ -169,8 +169,8 @@ def _exit(base: Any, numbers: Mapping[LaneKey, int]) -> PlacementTables:
     queued: dict[str, Any] = {"lanes": count, "goals": (0, 1), "changes": False}
     return PlacementTables(
         [
-            _Row(first, float(config["ego_spacing"]), 25.0, ego=True, law=QUEUE),
-            _Row(first, spacing, _NAN, law=QUEUE, many=many, **queued),
+            _Row(first, float(config["ego_spacing"]), 25.0, ego=True, distribution=QUEUE),
+            _Row(first, spacing, _NAN, distribution=QUEUE, many=many, **queued),
         ],
         ("3",),
         odds=odds.tolist(),

@@ -109,11 +109,11 @@ class ResetTables(NamedTuple):
 
 
 @kernel_inline
-def _drawn(row: GeneratorRow, law: int, middle: float, spread: float) -> float:
-    """A number drawn from the distribution `law` (STEADY, UNIFORM or NORMAL) around `middle`."""
-    if law == UNIFORM:
+def _drawn(row: GeneratorRow, distribution: int, middle: float, spread: float) -> float:
+    """A number drawn from the distribution `distribution` (STEADY, UNIFORM or NORMAL) around `middle`."""
+    if distribution == UNIFORM:
         return middle + uniform(row, -spread, spread)
-    if law == NORMAL:
+    if distribution == NORMAL:
         return middle + normal(row) * spread
     return middle
 

@@ -84,7 +84,7 @@ def index_of_speed(target_speeds: FloatArray, speed: float) -> int:
 
 
 @kernel_no_refcount
-def _held_up(traffic: NetworkTraffic, lane: int, vehicles: int) -> float:
+def _speed_loss(traffic: NetworkTraffic, lane: int, vehicles: int) -> float:
     """Sum over the vehicles on the merging lane of their shortfall from the target speed, as a share of it."""
     f, g, total = traffic.f, traffic.g, 0.0
     for i in range(vehicles):
@@ -113,7 +113,7 @@ def _parts(
         parts[k] = 0.0
     if kind == MERGING:
         parts[0], parts[1], parts[2], parts[3] = crashed, ids[lane, ID] / 1, fast, beside
-        parts[4] = _held_up(traffic, worth.lanes[0], vehicles)
+        parts[4] = _speed_loss(traffic, worth.lanes[0], vehicles)
     elif kind == ROUND:
         index = index_of_speed(target_speeds, f[TARGET_SPEED, ego])
         parts[0], parts[1], parts[2], parts[3] = crashed, index / (_DEFAULT_SPEEDS - 1), beside, on_road

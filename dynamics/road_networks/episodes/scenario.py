@@ -66,7 +66,7 @@ __all__ = ["RoadScenario", "on_roads", "road_scenario_of"]
 
 _MOST = 64
 """Greatest number of vehicles that may enter an intersection in an episode."""
-_LAW = (9.8, 5.0)
+_CONTROL_LIMITS = (9.8, 5.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,12 +138,12 @@ def road_scenario_of(env_id: str, config: Mapping[str, Any] | None = None) -> Ro
     frequency, decisions = base.config["simulation_frequency"], base.config["policy_frequency"]
     drive = NetworkRules(
         network=network,
-        customs=traffic_regulation_of(base)._replace(stay=0, phase=0),
+        regulation=traffic_regulation_of(base)._replace(stay=0, phase=0),
         numbers=(int(frequency // decisions), -1),
         times=(1 / frequency, 1 / decisions),
         target_speeds=target_speeds,
         labels=np.array([ACTIONS.index(labels[k]) for k in sorted(labels)], np.int64),
-        law=_LAW,
+        control_limits=_CONTROL_LIMITS,
     )
     worth = _worth(base, lanes)._replace(decisions=int(spec_of(env_id).max_episode_steps or 0))
     view, shape = _view(base, lanes)
@@ -252,7 +252,7 @@ def _scene(
         stretches[lane] = stretch
     ego, inputs = constants_of(base.vehicle), isinstance(base.action_type, ContinuousAction)
     if inputs:
-        ego[[ACC_MAX, COMFORT]] = _LAW
+        ego[[ACC_MAX, COMFORT]] = _CONTROL_LIMITS
     if inputs and base.action_type.speed_range:
         ego[[MIN_SPEED, MAX_SPEED]] = base.action_type.speed_range
     return ResetTables(

@@ -182,10 +182,10 @@ class RoadSimulator:
             step_all(self.machine, self.episodes, rules, work, self.flat, given, first, last, again)
 
         self._slices.run(part, checked_steps(self.num_envs, which))
-        self.check_room()
+        self.check_capacity()
         return seen.observations, seen.reward, seen.terminated, seen.truncated
 
-    def check_room(self) -> None:
+    def check_capacity(self) -> None:
         """Check that all vehicles that entered an intersection had room.
 
         Raises

@@ -176,8 +176,10 @@ def finish(
     cut = worth.decisions > 0 and episodes.decisions[e] >= worth.decisions
     seen.truncated[e] = cut or worlds.clock[e] >= worth.duration
     if len(rules.coming.arms) > 0:
-        room = clear_and_spawn(machine, worlds, rules.drive, rules.scene, rules.coming, work.drive, episodes.rows[e], e)
-        seen.full[e] = seen.full[e] or not room
+        has_space = clear_and_spawn(
+            machine, worlds, rules.drive, rules.scene, rules.coming, work.drive, episodes.rows[e], e
+        )
+        seen.full[e] = seen.full[e] or not has_space
 
 
 @kernel_no_refcount

@@ -89,19 +89,19 @@ def unsupported_road_settings(kind: type[Any], config: Mapping[str, Any]) -> lis
 
 def _observation(config: Mapping[str, Any]) -> list[str]:
     """The unsupported parts of the observation."""
-    asked = config["observation"]
-    kind = asked.get("type") if isinstance(asked, Mapping) else None
+    observation = config["observation"]
+    kind = observation.get("type") if isinstance(observation, Mapping) else None
     if kind not in _VIEWS:
         return [f"observation {kind}"]
     if kind == "TimeToCollision":
         inputs = config["action"].get("type") != "DiscreteMetaAction"
         return ["TimeToCollision without meta-actions"] if inputs else []
-    refused, features = [], asked.get("features") or ()
+    refused, features = [], observation.get("features") or ()
     if isinstance(features, str) or len(set(features)) != len(features) or set(features) - set(FEATURES):
         refused.append(f"features {features}")
-    if asked.get("order", "sorted") not in ("sorted", "shuffled"):
-        refused.append(f"observations in order {asked['order']!r}")
-    count = asked.get("vehicles_count", 5)
+    if observation.get("order", "sorted") not in ("sorted", "shuffled"):
+        refused.append(f"observations in order {observation['order']!r}")
+    count = observation.get("vehicles_count", 5)
     if not isinstance(count, int | np.integer) or count < 2:
         refused.append(f"observations of {count} vehicles")
     return refused

@@ -111,7 +111,7 @@ def time_ahead(
     speed_index: int,
     vehicles: int,
     stack: IntArray,
-    room: FloatArray,
+    buffer: FloatArray,
     out: NDArray[np.float32],
 ) -> None:
     """Write the collisions at the ego's target speed and the next lower and higher, in its lane and those beside it, to
@@ -119,11 +119,11 @@ def time_ahead(
 
     Parameters
     ----------
-    stack : buffer of `_leads`. room : buffer, (greatest number of lanes of a road, steps), written.
+    stack : buffer of `_leads`. buffer : buffer, (greatest number of lanes of a road, steps), written.
     """
     ids, lane = traffic.lanes.ids, traffic.g[LANE, ego]
     count, index = ids[lane, COUNT], ids[lane, ID]
-    grid, filled = room[:count], -1
+    grid, filled = buffer[:count], -1
     for row in range(ROWS):
         speed = min(max(speed_index + row // 3 - 1, 0), len(target_speeds) - 1)
         if speed != filled:

@@ -81,16 +81,16 @@ def _link_parents(ways: LaneContinuations, strips: Strips, first: int, count: in
 
 
 @kernel_no_refcount
-def _half_on(lanes: NetworkLanes, conduct: DrivingBounds, row: FloatArray, strips: Strips, j: int, lane: int) -> float:
+def _half_on(lanes: NetworkLanes, bounds: DrivingBounds, row: FloatArray, strips: Strips, j: int, lane: int) -> float:
     """Half of a body's length along a lane that it reaches from strip j [m]. A body that is at an angle to its lane now
     may still be so there."""
-    askew = strips.numbers[j, BODY_HALF] - body_half(lanes, strips.marks[j, 1], row, conduct)
-    return body_half(lanes, lane, row, conduct) + max(askew, 0.0)
+    askew = strips.numbers[j, BODY_HALF] - body_half(lanes, strips.marks[j, 1], row, bounds)
+    return body_half(lanes, lane, row, bounds) + max(askew, 0.0)
 
 
 @kernel_no_refcount
 def _neighbour_strip(
-    lanes: NetworkLanes, ways: LaneContinuations, conduct: DrivingBounds, row: FloatArray, strips: Strips, j: int
+    lanes: NetworkLanes, ways: LaneContinuations, bounds: DrivingBounds, row: FloatArray, strips: Strips, j: int
 ) -> Strip:
     """The strip of the lane beside one that ends, strip j. A vehicle may change to it at any place, and strip j is
     widened by the room for that."""
@@ -98,12 +98,12 @@ def _neighbour_strip(
     beside = ways.over[lane]
     x, y = place(lanes, lane, 0.0)
     s, r = local(lanes, beside, x, y)
-    keep = centred_half(lanes, beside, row, conduct)
+    keep = centred_half(lanes, beside, row, bounds)
     numbers[LOW], numbers[HIGH] = min(numbers[LOW], -r - keep), max(numbers[HIGH], keep - r)
     numbers[CENTRED_FROM] = numbers[FAR] + lanes.rows[lane, LANE_LENGTH] + RECENTRED_DISTANCE
     low, high = min(-keep, numbers[LOW] + r), max(keep, numbers[HIGH] + r)
     near, far, start = numbers[NEAR] - s, numbers[FAR] - s, numbers[START] + s
-    half = _half_on(lanes, conduct, row, strips, j, beside)
+    half = _half_on(lanes, bounds, row, strips, j, beside)
     return Strip(
         strips.marks[j, 0], beside, j, near, far, low, high, half, start, numbers[CENTRED_FROM], keep, numbers[FRONT]
     )
@@ -113,7 +113,7 @@ def _neighbour_strip(
 def _following_strip(
     lanes: NetworkLanes,
     ways: LaneContinuations,
-    conduct: DrivingBounds,
+    bounds: DrivingBounds,
     row: FloatArray,
     strips: Strips,
     j: int,
@@ -124,7 +124,7 @@ def _following_strip(
     after, long = ways.after[lane, k], lanes.rows[lane, LANE_LENGTH]
     s, r, slack = ways.ends[lane, k, 0], ways.ends[lane, k, 1], ways.ends[lane, k, 2]
     near, far, back = numbers[NEAR] + long - s - slack, numbers[FAR] + long - s + slack, numbers[CENTRED_FROM]
-    keep = centred_half(lanes, after, row, conduct)
+    keep = centred_half(lanes, after, row, bounds)
     low, high = -keep, keep
     if numbers[FAR] + long < back and ways.over[lane] < 0:
         # A vehicle beside the centre of its lane is as far beside the centre of the next one. Its body keeps its size.
@@ -136,7 +136,7 @@ def _following_strip(
         # A vehicle that is beside a lane reaches its centre while it drives along it.
         low, high = low + min(r, 0.0) - slack, high + max(r, 0.0) + slack
         back = numbers[FAR] + long + RECENTRED_DISTANCE
-    half = _half_on(lanes, conduct, row, strips, j, after)
+    half = _half_on(lanes, bounds, row, strips, j, after)
     # A vehicle that is about to enter the lane, from any lane, counts as on it from there on.
     start = ways.entries[after, 0] - TURN_IN_DISTANCE
     return Strip(strips.marks[j, 0], after, j, near, far, low, high, half, start, back, keep, numbers[FRONT])
@@ -144,12 +144,12 @@ def _following_strip(
 
 @kernel_no_refcount
 def _update_distance_bounds(
-    lanes: NetworkLanes, conduct: DrivingBounds, lane: int, off: float, drive: FloatArray
+    lanes: NetworkLanes, bounds: DrivingBounds, lane: int, off: float, drive: FloatArray
 ) -> None:
     """Update a row of `drive` (see `add_all_strips`) for a lane on which the vehicle may be `off` beside the centre
     [m]."""
     limit, share = lanes.rows[lane, LANE_LIMIT], min(curvature(lanes, lane) * off, 0.5)
-    drive[0] = max(drive[0], limit if limit < math.inf else conduct.top)
+    drive[0] = max(drive[0], limit if limit < math.inf else bounds.top)
     drive[1], drive[2] = min(drive[1], _STRAIGHT / (1 + share)), max(drive[2], 1 / (1 - share))
     slope = steepness(lanes, lane)
     drive[1] = min(drive[1], _STRAIGHT / math.sqrt(1 + slope * slope))
@@ -159,7 +159,7 @@ def _update_distance_bounds(
 def _add_next_strips(
     lanes: NetworkLanes,
     ways: LaneContinuations,
-    conduct: DrivingBounds,
+    bounds: DrivingBounds,
     subject: NetworkVehicle,
     strips: Strips,
     drive: FloatArray,
@@ -175,13 +175,13 @@ def _add_next_strips(
     The number of strips.
     """
     lane, row, route, numbers = strips.marks[j, 1], subject.row, subject.route, strips.numbers[j]
-    stop = stopping_distance_bound(row, conduct)
+    stop = stopping_distance_bound(row, bounds)
     keeps = strips.marks[j, 2] == -1 and max(numbers[HIGH], -numbers[LOW]) <= numbers[CENTRED_HALF]
     if ways.over[lane] >= 0 and row[3] <= _WAITING_SPEED and keeps:
         return count
     if ways.over[lane] >= 0:
         drive[3], drive[4] = _SLOW_SPEED_BESIDE, _GAIN_OVER
-        count = add(strips, first, count, _neighbour_strip(lanes, ways, conduct, row, strips, j), stop)
+        count = add(strips, first, count, _neighbour_strip(lanes, ways, bounds, row, strips, j), stop)
     known = subject.limited and route[lanes.ids[lane, ROAD]] < 2
     for anywhere in range(2):
         some = False
@@ -189,7 +189,7 @@ def _add_next_strips(
             after = ways.after[lane, k]
             if after >= 0 and not (known and anywhere == 0 and route[lanes.ids[after, ROAD]] == 0):
                 some = True
-                count = add(strips, first, count, _following_strip(lanes, ways, conduct, row, strips, j, k), stop)
+                count = add(strips, first, count, _following_strip(lanes, ways, bounds, row, strips, j, k), stop)
         if some or not known:
             break
     return count
@@ -199,7 +199,7 @@ def _add_next_strips(
 def add_all_strips(
     lanes: NetworkLanes,
     ways: LaneContinuations,
-    conduct: DrivingBounds,
+    bounds: DrivingBounds,
     rows: FloatArray,
     own: IntArray,
     routes: IntArray,
@@ -228,14 +228,14 @@ def add_all_strips(
         for k in range(routes.shape[1]):
             routed = routed or routes[i, k] > 0
         subject = NetworkVehicle(i, rows[i], own[i], routes[i], routed)
-        count = add_present_strips(lanes, ways, conduct, subject, strips, first)
+        count = add_present_strips(lanes, ways, bounds, subject, strips, first)
         _link_parents(ways, strips, first, min(count, room))
         drive[i, 0], drive[i, 1], drive[i, 2], drive[i, 3], drive[i, 4] = 0.0, _STRAIGHT, 1.0, _SLOW_SPEED, _GAIN
         j = first
         while j < min(count, room):
             off = max(-numbers[j, LOW], numbers[j, HIGH]) - 0.5 * rows[i, _WIDTH]
-            _update_distance_bounds(lanes, conduct, marks[j, 1], off, drive[i])
-            count = _add_next_strips(lanes, ways, conduct, subject, strips, drive[i], first, count, j)
+            _update_distance_bounds(lanes, bounds, marks[j, 1], off, drive[i])
+            count = _add_next_strips(lanes, ways, bounds, subject, strips, drive[i], first, count, j)
             j += 1
         if count > room:
             return count
@@ -244,7 +244,7 @@ def add_all_strips(
 
 @kernel_no_refcount
 def distance_bounds(
-    conduct: DrivingBounds, rows: FloatArray, drive: FloatArray, dt: float, least: FloatArray, most: FloatArray
+    bounds: DrivingBounds, rows: FloatArray, drive: FloatArray, dt: float, least: FloatArray, most: FloatArray
 ) -> None:
     """Least and greatest distance that each vehicle may have driven by each frame, in metres of s: `least` and `most`,
     (m, K), written."""
@@ -255,5 +255,5 @@ def distance_bounds(
             least[i, k], most[i, k] = min(back * drive[i, 1], back * drive[i, 2]), ahead * drive[i, 2]
             back += slow * dt * (drive[i, 4] if 0.0 < slow < drive[i, 3] else 1.0)
             ahead += fast * dt
-            slow = max(slow - conduct.braking * dt, 0.0) if slow > 0 else min(slow + conduct.braking * dt, 0.0)
-            fast = min(fast + conduct.acceleration * dt, cap)
+            slow = max(slow - bounds.braking * dt, 0.0) if slow > 0 else min(slow + bounds.braking * dt, 0.0)
+            fast = min(fast + bounds.acceleration * dt, cap)

@@ -76,15 +76,15 @@ class _Pose(NamedTuple):
 
 
 @kernel_no_refcount
-def _pose(lanes: NetworkLanes, ways: LaneContinuations, conduct: DrivingBounds, row: FloatArray, lane: int) -> _Pose:
+def _pose(lanes: NetworkLanes, ways: LaneContinuations, bounds: DrivingBounds, row: FloatArray, lane: int) -> _Pose:
     """The pose of a vehicle (7,) on a lane."""
     s, r = local(lanes, lane, row[0], row[1])
     s = unrolled(lanes, lane, s)
-    long, keep = lanes.rows[lane, LANE_LENGTH], centred_half(lanes, lane, row, conduct)
+    long, keep = lanes.rows[lane, LANE_LENGTH], centred_half(lanes, lane, row, bounds)
     angle = wrap_to_pi(row[2] - heading_at(lanes, lane, min(max(s, 0.0), long)))
     body = Rectangle(0.0, math.cos(row[2]), math.sin(row[2]), 0.5 * row[_LENGTH], 0.5 * row[_WIDTH])
     extent = extent_of(lanes, lane, LanePoint(row[0], row[1], s, r), body)
-    half = max(extent.last - s, s - extent.first, body_half(lanes, lane, row, conduct))
+    half = max(extent.last - s, s - extent.first, body_half(lanes, lane, row, bounds))
     front, within = max(extent.last - s, body_front(row)), ways.entries[lane, 0] - TURN_IN_DISTANCE <= s
     within = within and (s <= long or is_dead_end(ways, lane))
     return _Pose(s, r, angle, extent.low, extent.high, half, front, keep, within)
@@ -106,7 +106,7 @@ def _strip_of(subject: NetworkVehicle, lane: int, at: _Pose, low: float, high: f
 def _kept(
     lanes: NetworkLanes,
     ways: LaneContinuations,
-    conduct: DrivingBounds,
+    bounds: DrivingBounds,
     subject: NetworkVehicle,
     strips: Strips,
     first: int,
@@ -122,7 +122,7 @@ def _kept(
     for lane in range(lanes.rows.shape[0]):
         if _off_route(lanes, subject, lane):
             continue
-        at = _pose(lanes, ways, conduct, subject.row, lane)
+        at = _pose(lanes, ways, bounds, subject.row, lane)
         if at.within and abs(at.angle) <= ALIGNED and max(at.high, -at.low) <= at.keep:
             count = add(strips, first, count, _strip_of(subject, lane, at, -at.keep, at.keep, 0.0), 0.0)
             some = some or at.s >= 0.0
@@ -133,7 +133,7 @@ def _kept(
 def _entered(
     lanes: NetworkLanes,
     ways: LaneContinuations,
-    conduct: DrivingBounds,
+    bounds: DrivingBounds,
     subject: NetworkVehicle,
     strips: Strips,
     first: int,
@@ -144,7 +144,7 @@ def _entered(
     for lane in range(lanes.rows.shape[0]):
         if _off_route(lanes, subject, lane):
             continue
-        at = _pose(lanes, ways, conduct, subject.row, lane)
+        at = _pose(lanes, ways, bounds, subject.row, lane)
         low, high = at.low, at.high
         if lane == subject.own:
             low, high = min(low, -at.keep), max(high, at.keep)
@@ -162,21 +162,21 @@ def _entered(
 def _chosen(
     lanes: NetworkLanes,
     ways: LaneContinuations,
-    conduct: DrivingBounds,
+    bounds: DrivingBounds,
     subject: NetworkVehicle,
     strips: Strips,
     first: int,
 ) -> int:
     """Add the lanes to which a vehicle keeps, or else those that it is entering. See `_kept` for the result."""
-    count = _kept(lanes, ways, conduct, subject, strips, first)
-    return count if count > first else _entered(lanes, ways, conduct, subject, strips, first)
+    count = _kept(lanes, ways, bounds, subject, strips, first)
+    return count if count > first else _entered(lanes, ways, bounds, subject, strips, first)
 
 
 @kernel_no_refcount
 def _touched(
     lanes: NetworkLanes,
     ways: LaneContinuations,
-    conduct: DrivingBounds,
+    bounds: DrivingBounds,
     subject: NetworkVehicle,
     strips: Strips,
     first: int,
@@ -184,10 +184,10 @@ def _touched(
     """Add the lanes that a vehicle between lanes touches. See `_kept` for the result."""
     count = first
     for lane in range(lanes.rows.shape[0]):
-        at = _pose(lanes, ways, conduct, subject.row, lane)
+        at = _pose(lanes, ways, bounds, subject.row, lane)
         if lane != subject.own:
             if lanes.ids[lane, ROAD] == lanes.ids[subject.own, ROAD]:
-                if max(at.low, -at.high) >= lanes.rows[lane, LANE_WIDTH] / 2 - conduct.lean:
+                if max(at.low, -at.high) >= lanes.rows[lane, LANE_WIDTH] / 2 - bounds.lean:
                     continue
             elif not (abs(at.r) <= _OVERLAY and at.within and abs(at.angle) <= ALIGNED):
                 continue
@@ -200,7 +200,7 @@ def _touched(
 def add_present_strips(
     lanes: NetworkLanes,
     ways: LaneContinuations,
-    conduct: DrivingBounds,
+    bounds: DrivingBounds,
     subject: NetworkVehicle,
     strips: Strips,
     first: int,
@@ -214,7 +214,7 @@ def add_present_strips(
     anywhere = NetworkVehicle(subject.number, subject.row, subject.own, subject.route, False)
     count = first
     if subject.limited:
-        count = _chosen(lanes, ways, conduct, subject, strips, first)
+        count = _chosen(lanes, ways, bounds, subject, strips, first)
     if count == first:
-        count = _chosen(lanes, ways, conduct, anywhere, strips, first)
-    return count if count > first else _touched(lanes, ways, conduct, anywhere, strips, first)
+        count = _chosen(lanes, ways, bounds, anywhere, strips, first)
+    return count if count > first else _touched(lanes, ways, bounds, anywhere, strips, first)

@@ -179,9 +179,9 @@ def bulge(lanes: NetworkLanes, lane: int, row: FloatArray) -> float:
 
 
 @kernel_no_refcount
-def centred_half(lanes: NetworkLanes, lane: int, row: FloatArray, conduct: DrivingBounds) -> float:
+def centred_half(lanes: NetworkLanes, lane: int, row: FloatArray, bounds: DrivingBounds) -> float:
     """How far a body reaches to either side while it keeps to the centre of a lane, with the drift on an arc [m]."""
-    return 0.5 * row[_WIDTH] + conduct.sway + bulge(lanes, lane, row) + curvature(lanes, lane) * _DRIFT
+    return 0.5 * row[_WIDTH] + bounds.sway + bulge(lanes, lane, row) + curvature(lanes, lane) * _DRIFT
 
 
 @kernel_inline
@@ -192,7 +192,7 @@ def body_front(row: FloatArray) -> float:
 
 
 @kernel_no_refcount
-def body_half(lanes: NetworkLanes, lane: int, row: FloatArray, conduct: DrivingBounds) -> float:
+def body_half(lanes: NetworkLanes, lane: int, row: FloatArray, bounds: DrivingBounds) -> float:
     """Greatest distance that a body at the centre of a lane reaches ahead of its own centre, or behind it, along the
     lane [m].
 
@@ -204,7 +204,7 @@ def body_half(lanes: NetworkLanes, lane: int, row: FloatArray, conduct: DrivingB
     bend = curvature(lanes, lane)
     if bend == 0.0:
         return half
-    return math.atan2(half, 1 / bend - 0.5 * wide - conduct.sway - bend * _DRIFT) / bend
+    return math.atan2(half, 1 / bend - 0.5 * wide - bounds.sway - bend * _DRIFT) / bend
 
 
 @kernel_inline
@@ -214,11 +214,11 @@ def is_dead_end(ways: LaneContinuations, lane: int) -> bool:
 
 
 @kernel_inline
-def stopping_distance_bound(row: FloatArray, conduct: DrivingBounds) -> float:
+def stopping_distance_bound(row: FloatArray, bounds: DrivingBounds) -> float:
     """Upper bound on the distance that a vehicle drives until it stands, at its hardest braking and any frame rate
     [m]."""
     v = max(row[3], 0.0)
-    return v * v / (2 * conduct.braking) + v
+    return v * v / (2 * bounds.braking) + v
 
 
 @kernel_inline

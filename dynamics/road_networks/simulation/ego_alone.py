@@ -94,12 +94,12 @@ def read_ego_on_network(base: Any) -> EgoOnNetwork:
     frequency = base.config["simulation_frequency"]
     rules = NetworkRules(
         network=network_of(base.road.network),
-        customs=TrafficRegulation(0, False, 0, 0),
+        regulation=TrafficRegulation(0, False, 0, 0),
         numbers=(int(frequency // base.config["policy_frequency"]), 1),
         times=(1 / frequency, 1 / base.config["policy_frequency"]),
         target_speeds=np.array(base.vehicle.target_speeds, float),
         labels=np.array([ACTIONS.index(labels[k]) for k in sorted(labels)], np.int64),
-        law=(0.0, 0.0),
+        control_limits=(0.0, 0.0),
     )
     sums, products = sums_of_numpy()
     if Sums.OTHER in (sums, products):
@@ -113,7 +113,7 @@ def read_ego_on_network(base: Any) -> EgoOnNetwork:
 @kernel_no_refcount
 def simulate_manoeuvre(
     alone: EgoOnNetwork,
-    course: EgoManoeuvre,
+    manoeuvre: EgoManoeuvre,
     over: IntArray,
     path: FloatArray,
     first: FloatArray,
@@ -142,23 +142,23 @@ def simulate_manoeuvre(
     for k in range(g.shape[0]):
         g[k, 0] = g0[k, 0]
     worlds.order[1, 0] = 0
-    g[TARGET, 0], f[TARGET_SPEED, 0] = course.lane, course.speed
+    g[TARGET, 0], f[TARGET_SPEED, 0] = manoeuvre.lane, manoeuvre.speed
     path[0, 0], path[0, 1], path[0, 2], path[0, 3] = f[X, 0], f[Y, 0], f[HEADING, 0], f[SPEED, 0]
     own[0] = g[LANE, 0]
     for k in range(1, path.shape[0]):
-        if k - 1 == course.frames and course.aside != 0:
+        if k - 1 == manoeuvre.frames and manoeuvre.aside != 0:
             lane = g[TARGET, 0]
             ids = rules.network.ids
-            index = ids[lane, ID] + course.aside
+            index = ids[lane, ID] + manoeuvre.aside
             beside = ids[lane, FIRST] + index
             if 0 <= index < ids[lane, COUNT] and ids[lane, ROAD] == ids[g[LANE, 0], ROAD] and over[beside] < 0:
                 g[TARGET, 0] = beside
         compute_controls(alone.machine, worlds, rules, alone.work, 1)
         speed = f[SPEED, 0]
-        if k - 1 >= course.frames:
-            f[ACCELERATION, 0] = max(-course.hard, -speed / dt) if speed > 0 else min(course.hard, -speed / dt)
-        elif f[ACCELERATION, 0] < -course.gentle:
-            f[ACCELERATION, 0] = max(-course.gentle, KP_A * (course.speed - speed))
+        if k - 1 >= manoeuvre.frames:
+            f[ACCELERATION, 0] = max(-manoeuvre.hard, -speed / dt) if speed > 0 else min(manoeuvre.hard, -speed / dt)
+        elif f[ACCELERATION, 0] < -manoeuvre.gentle:
+            f[ACCELERATION, 0] = max(-manoeuvre.gentle, KP_A * (manoeuvre.speed - speed))
         if k == 1:
             first[0], first[1] = f[ACCELERATION, 0], f[STEERING, 0]
         bound[k - 1] = g[TARGET, 0]
@@ -168,6 +168,6 @@ def simulate_manoeuvre(
         on, at_end = on_way(rules, f, g)
         if not on:
             return -k - 1
-        if at_end or (k > course.frames and abs(f[SPEED, 0]) <= _REST):
+        if at_end or (k > manoeuvre.frames and abs(f[SPEED, 0]) <= _REST):
             return k + 1
     return path.shape[0]

@@ -98,20 +98,21 @@ class NetworkRules(NamedTuple):
 
     Attributes
     ----------
-    network : the road. customs : its rules beside driving.
+    network : the road. regulation : its rules beside driving.
     numbers : frames of a decision; number of vehicles of a scene, -1 for any number.
     times : duration of a frame and of a decision [s].
     target_speeds : of the ego [m/s]. labels : of each action: 0 left, 1 none, 2 right, 3 faster, 4 slower.
-    law : greatest deceleration and acceleration of an ego with throttle and steering that follows controllers [m/s^2].
+    control_limits : greatest deceleration and acceleration of an ego with throttle and steering that follows
+        controllers [m/s^2].
     """
 
     network: Network
-    customs: TrafficRegulation
+    regulation: TrafficRegulation
     numbers: tuple[int, int]
     times: tuple[float, float]
     target_speeds: FloatArray
     labels: IntArray
-    law: tuple[float, float]
+    control_limits: tuple[float, float]
 
 
 class NetworkWork(NamedTuple):
@@ -211,11 +212,11 @@ def compute_controls(machine: Machine, worlds: NetworkWorlds, rules: NetworkRule
     """Compute the controls of all vehicles in one scene for the coming frame."""
     g, vehicles = worlds.g[e], worlds.counts[e, 0]
     traffic = traffic_of(machine, worlds, rules.network, e)
-    remove_leaving(traffic, rules.customs, vehicles)
+    remove_leaving(traffic, rules.regulation, vehicles)
     act(traffic, work.numbers, work.busy, vehicles)
     g[FRAMES, 0] += 1
-    if rules.customs.period > 0 and g[FRAMES, 0] % rules.customs.period == 0:
-        regulate(traffic, rules.customs, machine.products, work.numbers, work.busy, work.paths, vehicles)
+    if rules.regulation.period > 0 and g[FRAMES, 0] % rules.regulation.period == 0:
+        regulate(traffic, rules.regulation, machine.products, work.numbers, work.busy, work.paths, vehicles)
 
 
 @kernel_inline

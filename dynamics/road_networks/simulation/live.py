@@ -58,7 +58,9 @@ LaneNumbers = Mapping[tuple[str, str, int], int]
 
 def longest_route(env: Any) -> int:
     """Number of entries of the longest route of the vehicles."""
-    return max((len(getattr(v, "route", None) or ()) for v in bodies_of(env, first=False, team=True)[0]), default=0)
+    return max(
+        (len(getattr(v, "route", None) or ()) for v in bodies_of(env, first=False, multi_agent=True)[0]), default=0
+    )
 
 
 def length_of_route(base: Any) -> int:
@@ -69,7 +71,7 @@ def length_of_route(base: Any) -> int:
     SceneError
         If there is no ego on the road.
     """
-    check_egos(base, first=False, team=True)
+    check_egos(base, first=False, multi_agent=True)
     return len(getattr(base.vehicle, "route", None) or ())
 
 
@@ -88,7 +90,7 @@ def load(env: Any, rules: NetworkRules, lanes: LaneNumbers, worlds: NetworkWorld
         If the number of bodies does not fit, or a vehicle has an unknown driving model.
     """
     base = env.unwrapped
-    vehicles, obstacles = bodies_of(env, first=False, team=True)
+    vehicles, obstacles = bodies_of(env, first=False, multi_agent=True)
     f, g, p, routes = worlds.f[e], worlds.g[e], worlds.p[e], worlds.routes[e]
     inputs = type(base.vehicle) in (Vehicle, BicycleVehicle)
     if not inputs and type(base.vehicle) is not MDPVehicle:
@@ -199,7 +201,7 @@ def _load_inputs(base: Any, i: int, rules: NetworkRules, f: Any, g: Any, p: Any)
     if hasattr(base.action_type, "agents_action_types"):
         raise SceneError("several egos with throttle and steering are not simulated")
     g[ROUTE_END, i] = -1
-    p[[ACC_MAX, COMFORT], i] = rules.law
+    p[[ACC_MAX, COMFORT], i] = rules.control_limits
     if base.action_type.speed_range:
         # highway-env sets the range of speeds of the ego at its first action.
         p[[MIN_SPEED, MAX_SPEED], i] = base.action_type.speed_range

@@ -52,8 +52,8 @@ class NetworkSimulator:
     env : a highway-env environment, reset. Of several egos with meta-actions, `step` moves the first; the others
         continue with their present target commands.
     num_envs : number of copies.
-    law : for an ego with throttle and steering: greatest deceleration and acceleration of the controllers that carry
-        out meta-actions [m/s^2], and the duration of each meta-action [s].
+    control_limits : for an ego with throttle and steering: greatest deceleration and acceleration of the controllers
+        that carry out meta-actions [m/s^2], and the duration of each meta-action [s].
     like : another simulator of the same environment since its reset; its arrays of the road are reused.
 
     Raises
@@ -73,11 +73,11 @@ class NetworkSimulator:
         self,
         env: gym.Env[Any, Any],
         num_envs: int = 1,
-        law: tuple[float, float, float] = (9.8, 5.0, 1.0),
+        control_limits: tuple[float, float, float] = (9.8, 5.0, 1.0),
         like: NetworkSimulator | None = None,
     ) -> None:
         base = cast(Any, env.unwrapped)
-        vehicles, obstacles = bodies_of(env, first=False, team=True)
+        vehicles, obstacles = bodies_of(env, first=False, multi_agent=True)
         config, road, action_type = base.config, base.road, base.action_type
         if isinstance(action_type, MultiAgentAction):
             action_type = action_type.agents_action_types[0]
@@ -86,7 +86,7 @@ class NetworkSimulator:
         if len(base.controlled_vehicles) > 1 and labels is None:
             raise ConfigError(f"several egos take meta-actions, not {type(action_type).__name__}")
         if isinstance(action_type, ContinuousAction):
-            self._inputs, labels, frames = True, dict(enumerate(ACTIONS)), max(1, round(law[2] * frequency))
+            self._inputs, labels, frames = True, dict(enumerate(ACTIONS)), max(1, round(control_limits[2] * frequency))
         if labels is None:
             raise ConfigError(
                 f"a network's ego takes meta-actions or throttle and steering, not {type(action_type).__name__}"
@@ -100,12 +100,12 @@ class NetworkSimulator:
         self._keys = tuple(self._lanes)
         self.rules: NetworkRules = NetworkRules(
             network=network,
-            customs=traffic_regulation_of(base),
+            regulation=traffic_regulation_of(base),
             numbers=(int(frames), len(vehicles)),
             times=(1 / frequency, frames / frequency if self._inputs else 1 / config["policy_frequency"]),
             target_speeds=_speeds(road.network) if self._inputs else np.array(base.vehicle.target_speeds, float),
             labels=np.array([ACTIONS.index(labels[k]) for k in sorted(labels)], np.int64),
-            law=law[:2],
+            control_limits=control_limits[:2],
         )
         sums, products = sums_of_numpy()
         self.exact = Sums.OTHER not in (sums, products)

@@ -102,25 +102,25 @@ def _ahead(traffic: NetworkTraffic, i: int, j: int) -> float:
 
 
 @kernel_inline
-def _acceleration(traffic: NetworkTraffic, judge: int, body: int, leader: int, free: float) -> float:
-    """Acceleration of a body behind a leader, by the model and the constants of vehicle `judge` [m/s^2].
+def _acceleration(traffic: NetworkTraffic, driver: int, body: int, leader: int, free: float) -> float:
+    """Acceleration of a body behind a leader, by the model and the constants of vehicle `driver` [m/s^2].
 
     Parameters
     ----------
     body, leader : -1 for none.
-    free : acceleration of `judge` on an empty road. For another body it is computed here.
+    free : acceleration of `driver` on an empty road. For another body it is computed here.
     """
     lanes, f, g, p = traffic.lanes, traffic.f, traffic.g, traffic.p
-    if g[KIND, judge] == LINEAR:
+    if g[KIND, driver] == LINEAR:
         ahead = _ahead(traffic, body, leader) if body >= 0 and leader >= 0 else 0.0
-        return linear(lanes.sums, f, g, p, judge, body, leader, ahead)
+        return linear(lanes.sums, f, g, p, driver, body, leader, ahead)
     if body < 0 or g[KIND, body] == OBSTACLE:
         return 0.0
-    if body != judge:
-        free = free_flow_of(lanes.loops, f, g, p, lanes.rows, judge, body)
+    if body != driver:
+        free = free_flow_of(lanes.loops, f, g, p, lanes.rows, driver, body)
     if leader < 0:
         return free
-    return acceleration_behind_leader(lanes.sums, f, p, judge, body, leader, _ahead(traffic, body, leader), free)
+    return acceleration_behind_leader(lanes.sums, f, p, driver, body, leader, _ahead(traffic, body, leader), free)
 
 
 @kernel_inline

@@ -183,7 +183,7 @@ def _yielding_vehicle(traffic: NetworkTraffic, ways_cross: bool, i: int, j: int)
 @kernel_no_refcount
 def regulate(
     traffic: NetworkTraffic,
-    customs: TrafficRegulation,
+    regulation: TrafficRegulation,
     products: int,
     work: FloatArray,
     busy: IntArray,
@@ -208,21 +208,21 @@ def regulate(
             _predict_along_route(traffic, i, paths[i])
     for i in range(vehicles - 1):
         for j in range(i + 1, vehicles):
-            if g[KIND, i] == OBSTACLE or g[KIND, j] == OBSTACLE or (customs.ways_cross and _cannot_meet(f, i, j)):
+            if g[KIND, i] == OBSTACLE or g[KIND, j] == OBSTACLE or (regulation.ways_cross and _cannot_meet(f, i, j)):
                 continue
             if not _meet(traffic, products, paths, i, j):
                 continue
-            yields = _yielding_vehicle(traffic, customs.ways_cross, i, j)
+            yields = _yielding_vehicle(traffic, regulation.ways_cross, i, j)
             if g[KIND, yields] in (IDM, LINEAR):
                 f[TARGET_SPEED, yields], g[YIELDS, yields] = 0.0, 1
 
 
 @kernel_no_refcount
-def remove_leaving(traffic: NetworkTraffic, customs: TrafficRegulation, vehicles: int) -> None:
+def remove_leaving(traffic: NetworkTraffic, regulation: TrafficRegulation, vehicles: int) -> None:
     """When `customs.stay` frames have passed, remove vehicles of the traffic that are near the end of a lane that
     leaves the road, or have no route. They are moved far away."""
     lanes, f, g, p = traffic.lanes, traffic.f, traffic.g, traffic.p
-    if customs.stay == 0 or (g[FRAMES, 0] - customs.phase) % customs.stay != 0:
+    if regulation.stay == 0 or (g[FRAMES, 0] - regulation.phase) % regulation.stay != 0:
         return
     for i in range(vehicles):
         lane = g[LANE, i]

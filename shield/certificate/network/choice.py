@@ -30,30 +30,32 @@ class JudgedCandidate(NamedTuple):
 
     Attributes
     ----------
-    course : index of the candidate. margin : least separation [m].
+    manoeuvre : index of the candidate. margin : least separation [m].
     vehicle : vehicle with the least separation; -1 for a standing body, or if there is none.
     clear : number of frames before the first negative separation.
-    innocent : least separation from standing bodies and vehicles without a violation [m].
+    compliant_margin : least separation from standing bodies and vehicles without a violation [m].
     speed : speed of the ego at the first negative separation, 0 if there is none [m/s].
     """
 
-    course: int
+    manoeuvre: int
     margin: float
     vehicle: int
     clear: int
-    innocent: float
+    compliant_margin: float
     speed: float
 
 
 @kernel_no_refcount
 def _follow(
-    alone: EgoOnNetwork, road: NetworkContext, others: NetworkVehicles, row: FloatArray, trial: CandidateRollout
+    alone: EgoOnNetwork, road: NetworkContext, others: NetworkVehicles, row: FloatArray, rollout: CandidateRollout
 ) -> int:
     """Roll out a candidate, a row of `EgoManoeuvre`, and project its path to the lanes. Return what
     `simulate_manoeuvre` returns."""
-    course = EgoManoeuvre(int(row[0]), row[1], row[2], int(row[3]), int(row[4]), row[5])
-    found = simulate_manoeuvre(alone, course, road.ways.over, trial.path, trial.first, trial.bound, trial.own)
-    project_path(road, road.body, others, trial.path, abs(found), trial)
+    manoeuvre = EgoManoeuvre(int(row[0]), row[1], row[2], int(row[3]), int(row[4]), row[5])
+    found = simulate_manoeuvre(
+        alone, manoeuvre, road.ways.over, rollout.path, rollout.first, rollout.bound, rollout.own
+    )
+    project_path(road, road.body, others, rollout.path, abs(found), rollout)
     return found
 
 
@@ -63,18 +65,18 @@ def _weigh(
     others: NetworkVehicles,
     found: int,
     trust: int,
-    trial: CandidateRollout,
+    rollout: CandidateRollout,
     bodies: CandidateRollout,
 ) -> JudgedCandidate:
     """Judge the candidate that `_follow` has rolled out; `found` is what `_follow` returned."""
     count = abs(found)
-    rests = found > 0 and abs(trial.path[count - 1, 3]) < 1e-6
-    margin, who, when, innocent = least_separation(others, road, trial, bodies.boxes, count, rests, trust)
+    rests = found > 0 and abs(rollout.path[count - 1, 3]) < 1e-6
+    margin, who, when, compliant_margin = least_separation(others, road, rollout, bodies.boxes, count, rests, trust)
     if found < 0:
         # The path leaves the road, at that speed.
         when = min(when, count - 1)
-        return JudgedCandidate(0, -_OFF - trial.path[when, 3], -1, when, -_OFF, trial.path[when, 3])
-    return JudgedCandidate(0, margin, who, when, innocent, abs(trial.path[when, 3]) if when < count else 0.0)
+        return JudgedCandidate(0, -_OFF - rollout.path[when, 3], -1, when, -_OFF, rollout.path[when, 3])
+    return JudgedCandidate(0, margin, who, when, compliant_margin, abs(rollout.path[when, 3]) if when < count else 0.0)
 
 
 @kernel_no_refcount
@@ -83,13 +85,13 @@ def _ask(
     body: EgoExtents,
     others: NetworkVehicles,
     found: int,
-    trial: CandidateRollout,
+    rollout: CandidateRollout,
     bodies: CandidateRollout,
 ) -> JudgedCandidate:
     """The same for `BRAKING_AT_ONCE`: vehicles with a distance obligation brake at once, and have to stay behind the
     ego's body."""
-    project_path(road, body, others, trial.path, abs(found), bodies)
-    return _weigh(road, others, found, BRAKING_AT_ONCE, trial, bodies)
+    project_path(road, body, others, rollout.path, abs(found), bodies)
+    return _weigh(road, others, found, BRAKING_AT_ONCE, rollout, bodies)
 
 
 @kernel_no_refcount
@@ -99,12 +101,12 @@ def try_candidate(
     others: NetworkVehicles,
     row: FloatArray,
     lenient: bool,
-    trial: CandidateRollout,
+    rollout: CandidateRollout,
 ) -> JudgedCandidate:
     """Roll out and judge one candidate, a row of `EgoManoeuvre`; if `lenient`, vehicles with a distance obligation are
     assumed to keep their distance."""
     trust = ASSUMED_KEPT if lenient else AFTER_REACTION
-    return _weigh(road, others, _follow(alone, road, others, row, trial), trust, trial, trial)
+    return _weigh(road, others, _follow(alone, road, others, row, rollout), trust, rollout, rollout)
 
 
 @kernel_no_refcount
@@ -114,12 +116,12 @@ def try_with_braking(
     body: EgoExtents,
     others: NetworkVehicles,
     row: FloatArray,
-    trial: CandidateRollout,
+    rollout: CandidateRollout,
     bodies: CandidateRollout,
 ) -> JudgedCandidate:
     """Roll out and judge one candidate, a row of `EgoManoeuvre`, where vehicles with a distance obligation brake at
     once; see `choose`."""
-    return _ask(road, body, others, _follow(alone, road, others, row, trial), trial, bodies)
+    return _ask(road, body, others, _follow(alone, road, others, row, rollout), rollout, bodies)
 
 
 @kernel_inline
@@ -131,8 +133,8 @@ def _better(a: JudgedCandidate, b: JudgedCandidate) -> bool:
     """
     if a.margin >= CLEAR or b.margin >= CLEAR:
         return a.margin > b.margin
-    if (a.innocent >= CLEAR) != (b.innocent >= CLEAR):
-        return a.innocent >= CLEAR
+    if (a.compliant_margin >= CLEAR) != (b.compliant_margin >= CLEAR):
+        return a.compliant_margin >= CLEAR
     if a.clear != b.clear:
         return a.clear > b.clear
     if abs(a.speed - b.speed) > _SAME:
@@ -143,7 +145,7 @@ def _better(a: JudgedCandidate, b: JudgedCandidate) -> bool:
 @kernel_inline
 def _at(found: JudgedCandidate, k: int) -> JudgedCandidate:
     """The same result as candidate k."""
-    return JudgedCandidate(k, found.margin, found.vehicle, found.clear, found.innocent, found.speed)
+    return JudgedCandidate(k, found.margin, found.vehicle, found.clear, found.compliant_margin, found.speed)
 
 
 @kernel_no_refcount
@@ -153,7 +155,7 @@ def choose(
     body: EgoExtents,
     others: NetworkVehicles,
     courses: FloatArray,
-    trial: CandidateRollout,
+    rollout: CandidateRollout,
     bodies: CandidateRollout,
 ) -> JudgedCandidate:
     """The first candidate whose path stays clear of everything. If there is none, the best by `_better`, where vehicles
@@ -162,24 +164,24 @@ def choose(
     Parameters
     ----------
     body : extents of the ego without its buffer. courses : rows of `EgoManoeuvre`, (c, 6).
-    trial : rollout buffer; it is left with the rollout of the chosen candidate, with distance obligations assumed to be
-        kept.
+    rollout : rollout buffer; it is left with the rollout of the chosen candidate, with distance obligations assumed to
+        be kept.
     bodies : rollout buffer for the ego without its buffer.
     """
-    best, owed = JudgedCandidate(-1, -np.inf, -1, -1, -np.inf, np.inf), others.owes.any()
+    best, some_obliged = JudgedCandidate(-1, -np.inf, -1, -1, -np.inf, np.inf), others.obliged.any()
     for k in range(courses.shape[0]):
-        way = _follow(alone, road, others, courses[k], trial)
-        found = _weigh(road, others, way, AFTER_REACTION, trial, trial)
+        way = _follow(alone, road, others, courses[k], rollout)
+        found = _weigh(road, others, way, AFTER_REACTION, rollout, rollout)
         if found.margin >= NEW_PATH_MARGIN:
             return _at(found, k)
         if best.margin >= NEW_PATH_MARGIN:
             continue
-        if owed:
-            found = _ask(road, body, others, way, trial, bodies)
+        if some_obliged:
+            found = _ask(road, body, others, way, rollout, bodies)
         else:
-            found = _weigh(road, others, way, ASSUMED_KEPT, trial, trial)
+            found = _weigh(road, others, way, ASSUMED_KEPT, rollout, rollout)
         if _better(found, best):
             best = _at(found, k)
-    if best.course >= 0:
-        try_candidate(alone, road, others, courses[best.course], True, trial)
+    if best.manoeuvre >= 0:
+        try_candidate(alone, road, others, courses[best.manoeuvre], True, rollout)
     return best

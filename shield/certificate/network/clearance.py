@@ -170,7 +170,7 @@ class _Brakes(NamedTuple):
 def _followed(
     others: NetworkVehicles,
     road: NetworkContext,
-    trial: CandidateRollout,
+    rollout: CandidateRollout,
     rears: FloatArray,
     j: int,
     brakes: _Brakes,
@@ -181,14 +181,14 @@ def _followed(
 
     Parameters
     ----------
-    trial : rollout of the ego. j : row of the reachable interval. brakes : how the follower brakes.
-    rears : boxes like those of `trial`, (n, K, 4) [m]. Where the follower is not beside the boxes of `trial`, it has to
-        stay behind the rear of these.
+    rollout : rollout of the ego. j : row of the reachable interval. brakes : how the follower brakes.
+    rears : boxes like those of `rollout`, (n, K, 4) [m]. Where the follower is not beside the boxes of `rollout`, it
+        has to stay behind the rear of these.
     rests : whether the ego stays at its last place for good.
     """
-    conduct, duty, dt = road.conduct, road.duty, road.period
+    bounds, response, dt = road.bounds, road.response, road.period
     i, row, lane = others.marks[j, 0], others.numbers[j], others.marks[j, 1]
-    boxes, first, last = trial.boxes, trial.met[lane, 0], trial.met[lane, 1]
+    boxes, first, last = rollout.boxes, rollout.met[lane, 0], rollout.met[lane, 1]
     top, most = max(others.drive[i, 0], others.rows[i, 3]), others.drive[i, 2]
     v0 = max(others.rows[i, 3], 0.0)
     v, x, waited, least, k = v0, 0.0, 0, np.inf, 0
@@ -203,19 +203,19 @@ def _followed(
         if k >= first and box[0] < FAR_OFF and ahead >= row[START]:
             if not rear < FAR_OFF:
                 rear = box[0]
-            beside = _lateral_gap(box, row, _extra_lateral_gap(road, lane, sag, trial.path[m, 3]))
+            beside = _lateral_gap(box, row, _extra_lateral_gap(road, lane, sag, rollout.path[m, 3]))
             least = min(least, max(rear - brakes.front - ahead, beside))
             if least < CLEAR:
                 return least
         there = brakes.anywhere or x >= row[NEAR]
         if there and not brakes.anywhere and not within:
             # A slower vehicle may be further into the lane in its first frame there, and faster.
-            v = max(v, min(_arrival(v0, row[NEAR], others.drive[i], conduct.acceleration, dt), top))
+            v = max(v, min(_arrival(v0, row[NEAR], others.drive[i], bounds.acceleration, dt), top))
             x = row[NEAR] + v * most * dt
             within = True
         waited = waited + 1 if k >= brakes.since and there else 0
         x += v * most * dt
-        v = max(v - duty.braking * dt, 0.0) if waited > brakes.delay else min(v + conduct.acceleration * dt, top)
+        v = max(v - response.braking * dt, 0.0) if waited > brakes.delay else min(v + bounds.acceleration * dt, top)
         k += 1
     return least
 
@@ -242,10 +242,10 @@ def find_merging(others: NetworkVehicles, road: NetworkContext, found: BoolArray
 
 
 @kernel_no_refcount
-def _is_seen(others: NetworkVehicles, road: NetworkContext, trial: CandidateRollout, j: int, k: int) -> bool:
+def _is_seen(others: NetworkVehicles, road: NetworkContext, rollout: CandidateRollout, j: int, k: int) -> bool:
     """Whether the vehicle of reachable interval j sees the ego in its lane in frame k. If it has yet to move over from
     an ending lane, the ego has to be visible in the ending lane as well."""
-    while trial.seen[others.marks[j, 1], k]:
+    while rollout.seen[others.marks[j, 1], k]:
         if not _has_to_merge(others, road, j):
             return True
         j = others.marks[j, 2]
@@ -256,7 +256,7 @@ def _is_seen(others: NetworkVehicles, road: NetworkContext, trial: CandidateRoll
 
 @kernel_no_refcount
 def _has_obligation(
-    others: NetworkVehicles, road: NetworkContext, trial: CandidateRollout, j: int, since: int, contact: int
+    others: NetworkVehicles, road: NetworkContext, rollout: CandidateRollout, j: int, since: int, contact: int
 ) -> bool:
     """Whether the vehicle of reachable interval j has a distance obligation in that lane up to frame `contact`. The ego
     is visible in the lane from frame `since` on.
@@ -265,25 +265,25 @@ def _has_obligation(
     there.
     """
     i, row, before = others.marks[j, 0], others.numbers[j], others.marks[j, 2]
-    if row[NEAR] <= 0 or road.duty.ahead:
+    if row[NEAR] <= 0 or road.response.ahead:
         lane, k = others.marks[j, 1], since
     elif before >= 0 and others.numbers[before, NEAR] <= 0:
         row, lane, k = others.numbers[before], others.marks[before, 1], 0
-        while k <= contact and _is_seen(others, road, trial, before, k):
+        while k <= contact and _is_seen(others, road, rollout, before, k):
             k += 1
         k = 0 if k > contact else 1
     else:
         return False
     # It was behind the ego a frame ago. On a ring, a vehicle ahead of the ego also approaches from behind.
     came = row[FRONT] - row[NEAR] - max(others.rows[i, 3], 0.0) * road.period
-    return k == 0 and others.owes[i, lane] and came + CLEAR <= trial.rears[lane, 0] < FAR_OFF
+    return k == 0 and others.obliged[i, lane] and came + CLEAR <= rollout.rears[lane, 0] < FAR_OFF
 
 
 @kernel_no_refcount
 def _waits(
     others: NetworkVehicles,
     road: NetworkContext,
-    trial: CandidateRollout,
+    rollout: CandidateRollout,
     j: int,
     contact: int,
     bad: int,
@@ -302,14 +302,14 @@ def _waits(
     """
     i, row, lane = others.marks[j, 0], others.numbers[j], others.marks[j, 1]
     since = contact + 1
-    while since > 0 and road.rights[trial.own[since - 1]] > others.ranks[j]:
+    while since > 0 and road.rights[rollout.own[since - 1]] > others.ranks[j]:
         since -= 1
-    if since > bad or row[BODY_HALF] - row[NEAR] > trial.boxes[lane, bad, 0]:
+    if since > bad or row[BODY_HALF] - row[NEAR] > rollout.boxes[lane, bad, 0]:
         return -1.0
-    delay, given = road.duty.reaction, others.gives[i, lane]
+    delay, given = road.response.reaction, others.gives[i, lane]
     if lenient and given > 0 and since == 0:
         delay = max(delay - given, 0)
-    return _followed(others, road, trial, trial.boxes, j, _Brakes(since, delay, True, row[BODY_HALF]), there)
+    return _followed(others, road, rollout, rollout.boxes, j, _Brakes(since, delay, True, row[BODY_HALF]), there)
 
 
 @kernel_no_refcount
@@ -342,7 +342,7 @@ def _is_blocked(others: NetworkVehicles, road: NetworkContext, j: int) -> bool:
 def least_separation(
     others: NetworkVehicles,
     road: NetworkContext,
-    trial: CandidateRollout,
+    rollout: CandidateRollout,
     bodies: FloatArray,
     count: int,
     rests: bool,
@@ -353,7 +353,7 @@ def least_separation(
 
     Parameters
     ----------
-    trial : path and its boxes on the lanes. Its `margins`, one a vehicle, are written (m,) [m].
+    rollout : path and its boxes on the lanes. Its `margins`, one a vehicle, are written (m,) [m].
     bodies : boxes of the ego's body without its buffer, (n, K, 4) [m]; read only with trust `BRAKING_AT_ONCE`.
     count : places of the path to judge. rests : whether the ego stays at the last of them for good.
     trust : `AFTER_REACTION`, `ASSUMED_KEPT` or `BRAKING_AT_ONCE`.
@@ -363,9 +363,9 @@ def least_separation(
     The least separation [m]; its vehicle, -1 for a standing body; the first frame with a negative separation, `count`
     if there is none; and the least separation from standing bodies and vehicles without a violation [m].
     """
-    path, boxes, met, margins = trial.path, trial.boxes, trial.met, trial.margins
+    path, boxes, met, margins = rollout.path, rollout.boxes, rollout.met, rollout.margins
     rows, body, dt = road.lanes.rows, road.body, road.period
-    worst, who, when, innocent = np.inf, -1, count, np.inf
+    worst, who, when, compliant_margin = np.inf, -1, count, np.inf
     margins[:] = np.inf
     for j in range(others.things.shape[0]):
         for k in range(count):
@@ -378,7 +378,7 @@ def least_separation(
                 when = min(when, k)
             if gap < worst:
                 worst, who = gap, -1
-            innocent = min(innocent, gap)
+            compliant_margin = min(compliant_margin, gap)
     for j in range(others.found[0]):
         i, lane, row = others.marks[j, 0], others.marks[j, 1], others.numbers[j]
         first, last = met[lane, 0], met[lane, 1]
@@ -393,7 +393,7 @@ def least_separation(
         # this one. This has to hold for any size, with the buffer and without it: a frame later the obligation may
         # refer to the body alone. The ego also has to cover the centre of the lane, which lies in every band: a frame
         # later the band may be narrower.
-        closes = there and trial.rears[lane, 1] <= joint and boxes[lane, last, 2] < 0.0 < boxes[lane, last, 3]
+        closes = there and rollout.rears[lane, 1] <= joint and boxes[lane, last, 2] < 0.0 < boxes[lane, last, 3]
         for k in range(first, last + 1):
             box = boxes[lane, k]
             if not box[0] < FAR_OFF:
@@ -416,34 +416,34 @@ def least_separation(
                 contact, bad = k, min(bad, k)
         if least < 0:
             since = contact + 1
-            while since > 0 and _is_seen(others, road, trial, j, since - 1):
+            while since > 0 and _is_seen(others, road, rollout, j, since - 1):
                 since -= 1
             # Followers that see the ego from frame `since` on.
             box = boxes[lane, bad]
             if since <= contact:
                 start = -row[NEAR] + row[BODY_HALF] <= box[0]
-                owed = trust != AFTER_REACTION and _has_obligation(others, road, trial, j, since, contact)
-                asked = owed and trust == BRAKING_AT_ONCE
-                if owed and trust == ASSUMED_KEPT:
+                obliged = trust != AFTER_REACTION and _has_obligation(others, road, rollout, j, since, contact)
+                at_once = obliged and trust == BRAKING_AT_ONCE
+                if obliged and trust == ASSUMED_KEPT:
                     others.shut[j] = closes and contact == count - 1
                     least, bad = np.inf, count
-                elif start or asked:
-                    brakes = _Brakes(since, road.duty.reaction, road.duty.ahead, row[BODY_HALF])
-                    if asked:
+                elif start or at_once:
+                    brakes = _Brakes(since, road.response.reaction, road.response.ahead, row[BODY_HALF])
+                    if at_once:
                         brakes = _Brakes(0, 0, True, row[FRONT])
-                    stays = _followed(others, road, trial, bodies if asked else boxes, j, brakes, there)
+                    stays = _followed(others, road, rollout, bodies if at_once else boxes, j, brakes, there)
                     if stays >= CLEAR:
                         others.shut[j] = closes and contact == count - 1
                         least, bad = stays, count
-            if least < 0 and road.duty.gives_way:
-                stays = _waits(others, road, trial, j, contact, bad, there, trust != AFTER_REACTION)
+            if least < 0 and road.response.gives_way:
+                stays = _waits(others, road, rollout, j, contact, bad, there, trust != AFTER_REACTION)
                 if stays >= CLEAR:
                     others.shut[j], others.waits[j] = closes and contact == count - 1, True
                     least, bad = stays, count
         margins[i] = min(margins[i], least)
         when = min(when, bad)
         if not others.offends[i]:
-            innocent = min(innocent, least)
+            compliant_margin = min(compliant_margin, least)
         if least < worst:
             worst, who = least, i
-    return worst, who, when, innocent
+    return worst, who, when, compliant_margin

@@ -32,14 +32,14 @@ class LateBraking:
     Attributes
     ----------
     alone, road : of the ego. body : extents of the ego without its buffer.
-    trial, bodies : rollout buffers, see `choose`.
+    rollout, bodies : rollout buffers, see `choose`.
     stays : separation of each vehicle that had an obligation when `remember` was called [m].
     """
 
     alone: EgoOnNetwork
     road: NetworkContext
     body: EgoExtents
-    trial: CandidateRollout
+    rollout: CandidateRollout
     bodies: CandidateRollout
     stays: dict[Any, float]
 
@@ -57,13 +57,13 @@ class LateBraking:
             stays,
         )
 
-    def remember(self, course: EgoManoeuvre, identities: list[Any], others: NetworkVehicles) -> None:
+    def remember(self, manoeuvre: EgoManoeuvre, identities: list[Any], others: NetworkVehicles) -> None:
         """Store the separation of each vehicle in `who` with a distance obligation, if the ego continues with
-        `course`."""
-        margins = self._margins(course, others)
-        self.stays = {identities[i]: float(margins[i]) for i in np.flatnonzero(others.owes.any(axis=1))}
+        `manoeuvre`."""
+        margins = self._margins(manoeuvre, others)
+        self.stays = {identities[i]: float(margins[i]) for i in np.flatnonzero(others.obliged.any(axis=1))}
 
-    def now(self, course: EgoManoeuvre, seen: NetworkObservation) -> tuple[FloatArray, set[Any]]:
+    def now(self, manoeuvre: EgoManoeuvre, seen: NetworkObservation) -> tuple[FloatArray, set[Any]]:
         """Judge that candidate a frame later.
 
         Returns
@@ -72,28 +72,28 @@ class LateBraking:
         braking when `remember` was called, and no longer can. No vehicle is assumed to keep a distance that it cannot
         keep.
         """
-        at_once = self._margins(course, seen.others)
+        at_once = self._margins(manoeuvre, seen.others)
         self._fit(seen.others)
-        try_candidate(self.alone, self.road, seen.others, np.array(course, float), True, self.trial)
-        believed = self.trial.margins
+        try_candidate(self.alone, self.road, seen.others, np.array(manoeuvre, float), True, self.rollout)
+        believed = self.rollout.margins
         # A vehicle that is in the way even if it keeps its distance is in the way elsewhere. The braking is late before
         # the plan loses its room: the tolerances of a frame reduce the distance of a braking vehicle only afterwards.
         too_near = (at_once < NEW_PATH_MARGIN) & (believed >= CLEAR)
         late = {b for i, b in enumerate(seen.identities) if too_near[i] and self.stays.get(b, -1.0) >= CLEAR}
         return np.where(at_once < CLEAR, at_once, believed), late
 
-    def _margins(self, course: EgoManoeuvre, others: NetworkVehicles) -> FloatArray:
+    def _margins(self, manoeuvre: EgoManoeuvre, others: NetworkVehicles) -> FloatArray:
         """Separation of the vehicles with a distance obligation from the path of a candidate, if they brake at once,
         (m,) [m]; inf for the others."""
-        owing, out = np.flatnonzero(others.owes.any(axis=1)), np.full(len(others.owes), np.inf)
+        owing, out = np.flatnonzero(others.obliged.any(axis=1)), np.full(len(others.obliged), np.inf)
         if owing.size:
             self._fit(others)
-            row = np.array(course, float)
-            try_with_braking(self.alone, self.road, self.body, others, row, self.trial, self.bodies)
-            out[owing] = self.trial.margins[owing]
+            row = np.array(manoeuvre, float)
+            try_with_braking(self.alone, self.road, self.body, others, row, self.rollout, self.bodies)
+            out[owing] = self.rollout.margins[owing]
         return out
 
     def _fit(self, others: NetworkVehicles) -> None:
         """Enlarge or reduce the rollout buffer to the number of vehicles."""
-        if len(self.trial.margins) != len(others.owes):
-            self.trial = empty_rollout(len(self.trial.path) - 1, len(self.trial.boxes), len(others.owes))
+        if len(self.rollout.margins) != len(others.obliged):
+            self.rollout = empty_rollout(len(self.rollout.path) - 1, len(self.rollout.boxes), len(others.obliged))

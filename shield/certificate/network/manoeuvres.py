@@ -42,14 +42,14 @@ def stopping(lane: int, braking: float) -> EgoManoeuvre:
     return EgoManoeuvre(lane, 0.0, COMMITTED, 0, 0, braking)
 
 
-def remainder_after_frame(course: EgoManoeuvre, bound: int) -> EgoManoeuvre:
+def remainder_after_frame(manoeuvre: EgoManoeuvre, bound: int) -> EgoManoeuvre:
     """Remainder of a candidate after a frame, in which the ego's target lane has become `bound`."""
-    aside = 0 if course.frames < 1 else course.aside
-    return course._replace(lane=bound, frames=max(course.frames - 1, 0), aside=aside)
+    aside = 0 if manoeuvre.frames < 1 else manoeuvre.aside
+    return manoeuvre._replace(lane=bound, frames=max(manoeuvre.frames - 1, 0), aside=aside)
 
 
 def candidates_of(
-    wish: TargetCommand,
+    command: TargetCommand,
     stored: EgoManoeuvre | None,
     speed: float,
     bound: Sequence[int],
@@ -61,21 +61,21 @@ def candidates_of(
 
     Parameters
     ----------
-    wish : target command of the decision. stored : remainder of the candidate verified a frame before, if any.
+    command : target command of the decision. stored : remainder of the candidate verified a frame before, if any.
     speed : of the ego now [m/s]. bound : target lane of the ego, and the lanes that it may keep to instead.
     several : whether the target lane belongs to a road of several lanes, so that the ego can move aside.
     frequency : frames per second [Hz]. braking : deceleration of the fail-safe [m/s^2].
     """
     frames = [1 + round(seconds * frequency) for seconds in _ON]
-    if stored is not None and stored[:3] == (*wish, COMMITTED) and stored.frames >= 1:
+    if stored is not None and stored[:3] == (*command, COMMITTED) and stored.frames >= 1:
         yield stored, Tier.PASSED
     for aside in (0, -1, 1) if several else (0,):
         for n in frames:
-            yield EgoManoeuvre(wish.lane, wish.speed, COMMITTED, n, aside, braking), Tier.PASSED
-    top = max(min(wish.speed, speed + _GAIN), 0.0)
-    lanes = list(dict.fromkeys([wish.lane, *([] if stored is None else [stored.lane]), *bound]))
+            yield EgoManoeuvre(command.lane, command.speed, COMMITTED, n, aside, braking), Tier.PASSED
+    top = max(min(command.speed, speed + _GAIN), 0.0)
+    lanes = list(dict.fromkeys([command.lane, *([] if stored is None else [stored.lane]), *bound]))
     for lane in lanes:
-        for k in range(1 if lane == wish.lane else 0, _SPEEDS + 1):
+        for k in range(1 if lane == command.lane else 0, _SPEEDS + 1):
             yield EgoManoeuvre(lane, top * (1 - k / _SPEEDS), braking, 1, 0, braking), Tier.GOVERNED
     if stored is not None:
         yield stored, Tier.GOVERNED

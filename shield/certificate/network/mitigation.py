@@ -28,7 +28,7 @@ def mitigate(
     others: NetworkVehicles,
     courses: FloatArray,
     speed: float,
-    trial: CandidateRollout,
+    rollout: CandidateRollout,
     bodies: CandidateRollout,
 ) -> JudgedCandidate:
     """The candidate that keeps the ego's body clear, or keeps it clear for longest. A candidate faster than now has to
@@ -37,17 +37,17 @@ def mitigate(
     Parameters
     ----------
     road : as returned by `without_buffer`. courses : rows of `EgoManoeuvre`, (c, 6). speed : of the ego now [m/s].
-    trial : rollout buffer, left with the rollout of the chosen candidate. bodies : as in `choose`.
+    rollout : rollout buffer, left with the rollout of the chosen candidate. bodies : as in `choose`.
     """
     slow = (courses[:, _SPEED] <= speed) & (courses[:, _GENTLE] < COMMITTED)
     slower, faster = np.flatnonzero(slow), np.flatnonzero(~slow)
-    least: JudgedCandidate = choose(alone, road, road.body, others, courses[slower], trial, bodies)
+    least: JudgedCandidate = choose(alone, road, road.body, others, courses[slower], rollout, bodies)
     if least.margin < CLEAR:
-        most: JudgedCandidate = choose(alone, road, road.body, others, courses[faster], trial, bodies)
+        most: JudgedCandidate = choose(alone, road, road.body, others, courses[faster], rollout, bodies)
         # A candidate clear of everything except violators comes before one that is clear for longer.
-        longer = most.clear > least.clear and (most.innocent >= CLEAR or least.innocent < CLEAR)
+        longer = most.clear > least.clear and (most.compliant_margin >= CLEAR or least.compliant_margin < CLEAR)
         if most.margin >= CLEAR or longer:
-            return most._replace(course=int(faster[most.course]))
+            return most._replace(manoeuvre=int(faster[most.manoeuvre]))
         # The rollout buffer holds the candidate judged last.
-        try_candidate(alone, road, others, courses[slower[least.course]], True, trial)
-    return least._replace(course=int(slower[least.course]))
+        try_candidate(alone, road, others, courses[slower[least.manoeuvre]], True, rollout)
+    return least._replace(manoeuvre=int(slower[least.manoeuvre]))

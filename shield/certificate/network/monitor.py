@@ -224,10 +224,10 @@ class NetworkMonitor:
         `suffers` is whether the fail-safe loses its room to it, `late` whether it can no longer keep its distance by
         braking.
         """
-        broken, conduct, dt = set(), road.conduct, road.period
+        broken, bounds, dt = set(), road.bounds, road.period
         v0, v = float(old.rows[j, 3]), float(new.rows[i, 3])
-        slowest = v0 - conduct.braking * dt
-        fastest = max(min(v0 + conduct.acceleration * dt, old.drive[j, 0]), v0)
+        slowest = v0 - bounds.braking * dt
+        fastest = max(min(v0 + bounds.acceleration * dt, old.drive[j, 0]), v0)
         if not slowest - _SLACK <= v <= fastest + _SLACK:
             broken.add(NetworkRule.SPEED)
         if suffers and v < 0:
@@ -236,10 +236,10 @@ class NetworkMonitor:
             broken.add(NetworkRule.GROWN)
         if suffers and not _inside(old, j, new, i, road):
             broken.add(NetworkRule.WAYS)
-        if v > max(v0 - road.duty.braking * dt, 0.0) + _SLACK:
+        if v > max(v0 - road.response.braking * dt, 0.0) + _SLACK:
             if late:
                 broken.add(NetworkRule.DISTANCE)
-            if suffers and new.gives[i].max(initial=0) > road.duty.reaction:
+            if suffers and new.gives[i].max(initial=0) > road.response.reaction:
                 broken.add(NetworkRule.RIGHT_OF_WAY)
         return broken
 
@@ -301,7 +301,7 @@ def _inside(old: NetworkVehicles, j: int, new: NetworkVehicles, i: int, road: Ne
     `CENTRED_FROM`                        here, as `CENTRED_FROM - NEAR`, where the band is wider than `CENTRED_HALF`
     `CENTRED_HALF`                        *grown*: on one lane it depends on the length and the width alone
     `ranks`                               here
-    `owes`, `gives`                       *distance*, *right of way*: the filter keeps them
+    `obliged`, `gives`                       *distance*, *right of way*: the filter keeps them
                                           (`shield.certificate.network.obligations`)
     `things`                              *appeared*, *moved*
     ====================================  ==============================================================================
@@ -310,7 +310,7 @@ def _inside(old: NetworkVehicles, j: int, new: NetworkVehicles, i: int, road: Ne
         return False
     count0, count = int(old.found[0]), int(new.found[0])
     mine, its = np.flatnonzero(old.marks[:count0, 0] == j), np.flatnonzero(new.marks[:count, 0] == i)
-    least, most, owes, rearmost = old.least[j, 1], old.most[j, 1], old.owes[j].any(), new.least[i].min()
+    least, most, obliged, rearmost = old.least[j, 1], old.most[j, 1], old.obliged[j].any(), new.least[i].min()
     furthest = old.least[j].max()
     shifts = _shifts(old, mine, new, its)
     ends = road.lanes.rows[:, LANE_LENGTH] + road.ways.overruns
@@ -329,7 +329,7 @@ def _inside(old: NetworkVehicles, j: int, new: NetworkVehicles, i: int, road: Ne
             row[CENTRED_FROM] - row[NEAR] <= rows[:, CENTRED_FROM] - rows[:, NEAR] + _PLACE
         )
         # The front in its present pose matters for vehicles that have to stay behind the ego.
-        fits = (row[BODY_HALF] <= rows[:, BODY_HALF] + _PLACE) & (~owes | (row[FRONT] <= rows[:, FRONT] + _PLACE))
+        fits = (row[BODY_HALF] <= rows[:, BODY_HALF] + _PLACE) & (~obliged | (row[FRONT] <= rows[:, FRONT] + _PLACE))
         # The plan skips intervals whose ways the ego blocks. They stay blocked where the body has moved across its
         # lane.
         kept = (new.ranks[k] <= old.ranks[same]) & (~old.shut[same] | new.shut[k] | ~shifts)

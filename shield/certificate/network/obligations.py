@@ -16,7 +16,7 @@ from shield.certificate.network.workspace import CandidateRollout, NetworkContex
 __all__ = ["RightOfWayObligations", "find_followers"]
 
 
-def find_followers(others: NetworkVehicles, trial: CandidateRollout, road: NetworkContext) -> BoolArray:
+def find_followers(others: NetworkVehicles, rollout: CandidateRollout, road: NetworkContext) -> BoolArray:
     """Whether each vehicle is behind the ego in each lane where the ego is visible, at the start of a path, (m, n).
 
     A vehicle with a distance obligation may enter the buffer and keeps the obligation, also in the lane that its own
@@ -24,12 +24,12 @@ def find_followers(others: NetworkVehicles, trial: CandidateRollout, road: Netwo
     lane too.
     """
     (vehicles, lanes, before), numbers = others.marks.T, others.numbers
-    owes = others.owes[vehicles, lanes] | ((before >= 0) & others.owes[vehicles, lanes[before]])
-    rear = np.where(owes, trial.rears[lanes, 0] - CLEAR, trial.boxes[lanes, 0, 0])
-    there = trial.seen[lanes, 0] & (numbers[:, FRONT] - numbers[:, NEAR] <= rear)
-    out, over = np.zeros(others.owes.shape, dtype=bool), np.empty(len(lanes), dtype=bool)
+    obliged = others.obliged[vehicles, lanes] | ((before >= 0) & others.obliged[vehicles, lanes[before]])
+    rear = np.where(obliged, rollout.rears[lanes, 0] - CLEAR, rollout.boxes[lanes, 0, 0])
+    there = rollout.seen[lanes, 0] & (numbers[:, FRONT] - numbers[:, NEAR] <= rear)
+    out, over = np.zeros(others.obliged.shape, dtype=bool), np.empty(len(lanes), dtype=bool)
     find_merging(others, road, over)
-    comes = there & (((numbers[:, NEAR] > 0) & (not road.duty.ahead)) | over)
+    comes = there & (((numbers[:, NEAR] > 0) & (not road.response.ahead)) | over)
     there &= ~comes
     while there.any():
         out[vehicles[there], lanes[there]] = True
@@ -51,19 +51,19 @@ class RightOfWayObligations:
     waits: dict[Any, dict[int, int]] = field(default_factory=dict)
 
     def tables(self, identities: list[Any], lanes: int) -> tuple[BoolArray, IntArray]:
-        """`NetworkVehicles.owes` and `NetworkVehicles.gives` of these vehicles, (m, n)."""
-        owes, gives = np.zeros((len(identities), lanes), dtype=bool), np.zeros((len(identities), lanes), np.int64)
+        """`NetworkVehicles.obliged` and `NetworkVehicles.gives` of these vehicles, (m, n)."""
+        obliged, gives = np.zeros((len(identities), lanes), dtype=bool), np.zeros((len(identities), lanes), np.int64)
         for i, body in enumerate(identities):
-            owes[i, list(self.distance.get(body, ()))] = True
+            obliged[i, list(self.distance.get(body, ()))] = True
             for lane, since in self.waits.get(body, {}).items():
                 gives[i, lane] = since
-        return owes, gives
+        return obliged, gives
 
     def counts_on(self, body: Any, reaction: int) -> bool:
         """Whether a vehicle has been expected to wait for more than `reaction` frames."""
         return max(self.waits.get(body, {}).values(), default=0) > reaction
 
-    def is_owed_by(self, body: Any) -> bool:
+    def has_distance_obligation(self, body: Any) -> bool:
         """Whether a vehicle has a distance obligation towards the ego."""
         return bool(self.distance.get(body))
 
@@ -71,19 +71,19 @@ class RightOfWayObligations:
         self,
         identities: list[Any],
         others: NetworkVehicles,
-        trial: CandidateRollout,
+        rollout: CandidateRollout,
         road: NetworkContext,
         verified: bool,
     ) -> None:
-        """Update the distance obligations, and write them to `NetworkVehicles.owes`.
+        """Update the distance obligations, and write them to `NetworkVehicles.obliged`.
 
         A vehicle keeps its obligation while it is behind the ego in a lane where the ego is visible. If the path of the
-        ego is `verified`, every such vehicle gets one. `trial` begins where the ego is.
+        ego is `verified`, every such vehicle gets one. `rollout` begins where the ego is.
         """
-        there = find_followers(others, trial, road)
+        there = find_followers(others, rollout, road)
         if not verified:
-            there &= others.owes
-        others.owes[:] = there
+            there &= others.obliged
+        others.obliged[:] = there
         self.distance = {
             body: set(np.flatnonzero(there[i]).tolist()) for i, body in enumerate(identities) if there[i].any()
         }
@@ -92,14 +92,14 @@ class RightOfWayObligations:
         self,
         identities: list[Any],
         others: NetworkVehicles,
-        trial: CandidateRollout,
+        rollout: CandidateRollout,
         road: NetworkContext,
         verified: bool,
     ) -> None:
         """Update the vehicles that are expected to wait; `NetworkVehicles.waits` refers to the chosen path. If the
         path is not `verified`, no vehicle is added."""
         self.waits = {}
-        for j in np.flatnonzero(others.waits & (others.ranks < road.rights[trial.own[0]])):
+        for j in np.flatnonzero(others.waits & (others.ranks < road.rights[rollout.own[0]])):
             i, lane = others.marks[j, :2]
             since = int(others.gives[i, lane])
             if verified or since > 0:

@@ -59,8 +59,8 @@ def network_context(base: Any, alone: EgoOnNetwork, config: ShieldConfig) -> Net
         circles=circles,
         rights=right_of_way_by_lane(network.ids[:, PRIORITY], ways),
         ways=ways,
-        conduct=DrivingBounds(a.braking, a.acceleration, a.max_speed, a.lateral_deviation, a.marking_tolerance),
-        duty=NetworkFollowerResponse(
+        bounds=DrivingBounds(a.braking, a.acceleration, a.max_speed, a.lateral_deviation, a.marking_tolerance),
+        response=NetworkFollowerResponse(
             a.follower_braking, math.ceil(a.reaction_time * frequency - 1e-9), a.considers_connected_lanes, a.gives_way
         ),
         body=EgoExtents(length, width, length + buffer.longitudinal, width + buffer.lateral, a.visible_distance),
@@ -93,23 +93,23 @@ class NetworkPredictor:
         self._names = list(self._index)
         self._strips = empty_strips(_STRIPS)
 
-    def look(self, dues: RightOfWayObligations) -> NetworkObservation:
-        """The other vehicles now, and where they can be. `dues` are their obligations towards the ego."""
+    def predict(self, obligations: RightOfWayObligations) -> NetworkObservation:
+        """The other vehicles now, and where they can be. `obligations` are their obligations towards the ego."""
         seen, road = read_traffic(self._base, self._network, self._index), self._road
         drive = np.zeros((len(seen.rows), 5))
         while True:
             strips = self._strips
             given = seen.rows, seen.own, seen.routes
-            count = add_all_strips(road.lanes, road.ways, road.conduct, *given, strips, drive)
+            count = add_all_strips(road.lanes, road.ways, road.bounds, *given, strips, drive)
             if count <= len(strips.marks):
                 break
             self._strips = empty_strips(2 * len(strips.marks))
         marks, numbers = strips.marks[:count].copy(), strips.numbers[:count].copy()
         least, most = np.zeros((2, len(seen.rows), self._frames + 3))
-        distance_bounds(road.conduct, seen.rows, drive, road.period, least, most)
-        owes, gives = dues.tables(seen.identities, len(road.circles))
+        distance_bounds(road.bounds, seen.rows, drive, road.period, least, most)
+        obliged, gives = obligations.tables(seen.identities, len(road.circles))
         ranks = np.zeros(count, np.int64)
-        if road.duty.gives_way:
+        if road.response.gives_way:
             right_of_way_by_strip(road.ways, road.rights, marks, ranks)
         others = NetworkVehicles(
             rows=seen.rows,
@@ -120,7 +120,7 @@ class NetworkPredictor:
             drive=drive,
             least=least,
             most=most,
-            owes=owes,
+            obliged=obliged,
             offends=np.zeros(len(seen.rows), dtype=bool),
             gives=gives,
             ranks=ranks,

@@ -36,9 +36,9 @@ def _box(
     """
     cos, sin, way = pose
     wide = extent_of(lanes, lane, at, Rectangle(0.0, cos, sin, body.along, body.across))
-    bare = extent_of(lanes, lane, at, Rectangle(way, cos, sin, body.length, body.width))
-    box[0], box[1] = min(wide.first, bare.first), max(wide.last, bare.last)
-    box[2], box[3] = min(wide.low, bare.low), max(wide.high, bare.high)
+    body_extent = extent_of(lanes, lane, at, Rectangle(way, cos, sin, body.length, body.width))
+    box[0], box[1] = min(wide.first, body_extent.first), max(wide.last, body_extent.last)
+    box[2], box[3] = min(wide.low, body_extent.low), max(wide.high, body_extent.high)
 
 
 @kernel_no_refcount
@@ -48,17 +48,24 @@ def project_path(
     others: NetworkVehicles,
     path: FloatArray,
     count: int,
-    trial: CandidateRollout,
+    rollout: CandidateRollout,
 ) -> None:
     """Project the ego with its buffer to the lanes of the other vehicles, at the first `count` places of a path (K, 4).
 
     Parameters
     ----------
     body : extents of the ego. path : x, y [m], heading [rad], speed [m/s] at each place.
-    trial : written: `seen`, `met`, `rears`, and `boxes`. A box is the least and greatest s, then the least and greatest
-        r; its first number is `FAR_OFF` where no body on that lane can come near the ego.
+    rollout : written: `seen`, `met`, `rears`, and `boxes`. A box is the least and greatest s, then the least and
+        greatest r; its first number is `FAR_OFF` where no body on that lane can come near the ego.
     """
-    lanes, circles, boxes, seen, met, rears = road.lanes, road.circles, trial.boxes, trial.seen, trial.met, trial.rears
+    lanes, circles, boxes, seen, met, rears = (
+        road.lanes,
+        road.circles,
+        rollout.boxes,
+        rollout.seen,
+        rollout.met,
+        rollout.rears,
+    )
     half = math.hypot(body.along, body.across)
     for lane in others.lanes:
         met[lane, 0], met[lane, 1], rears[lane, 0], rears[lane, 1] = count, -1, FAR_OFF, FAR_OFF
@@ -82,8 +89,8 @@ def project_path(
                 continue
             _box(lanes, lane, at, pose, body, box)
             if k == 0 or k == count - 1:
-                bare = Rectangle(0.0, pose[0], pose[1], body.length, body.width)
-                rears[lane, 0 if k == 0 else 1] = extent_of(lanes, lane, at, bare).first
+                body_extent = Rectangle(0.0, pose[0], pose[1], body.length, body.width)
+                rears[lane, 0 if k == 0 else 1] = extent_of(lanes, lane, at, body_extent).first
             met[lane, 0], met[lane, 1] = min(met[lane, 0], k), k
             if abs(r) <= body.visible and on_lane(lanes.rows, lane, s, 0.0, 0.0):
                 aim = heading_at(lanes, lane, min(max(s, 0.0), row[LANE_LENGTH]))

@@ -68,7 +68,7 @@ class NetworkVehicles(NamedTuple):
     found : number of reachable intervals, (1,).
     drive : bounds on the motion of each vehicle, (m, 5). least, most : distances by frame, (m, K) [m]. See
         `dynamics.road_networks.reachable.prediction`.
-    owes : whether each vehicle has a distance obligation in each lane, (m, n).
+    obliged : whether each vehicle has a distance obligation in each lane, (m, n).
     offends : violators that the fail-safe has lost its room to, (m,).
     gives : number of frames for which each vehicle has been expected to wait before each lane, for an ego with more
         right of way, (m, n).
@@ -88,7 +88,7 @@ class NetworkVehicles(NamedTuple):
     drive: FloatArray
     least: FloatArray
     most: FloatArray
-    owes: BoolArray
+    obliged: BoolArray
     offends: BoolArray
     gives: IntArray
     ranks: IntArray
@@ -129,7 +129,7 @@ class NetworkContext(NamedTuple):
     Attributes
     ----------
     lanes : geometry. circles : circle around each lane, (n, 3) [m]. rights : right of way in each lane, (n,).
-    ways : which lane leads to which. conduct : bounds on the motion of the others. duty : their response to the ego.
+    ways : which lane leads to which. bounds : bounds on the motion of the others. response : their response to the ego.
     body : extents of the ego. period : duration of a frame [s].
     """
 
@@ -137,8 +137,8 @@ class NetworkContext(NamedTuple):
     circles: FloatArray
     rights: IntArray
     ways: LaneContinuations
-    conduct: DrivingBounds
-    duty: NetworkFollowerResponse
+    bounds: DrivingBounds
+    response: NetworkFollowerResponse
     body: EgoExtents
     period: float
 
@@ -186,12 +186,12 @@ def empty_rollout(frames: int, lanes: int, vehicles: int) -> CandidateRollout:
 
 
 def prediction_of(
-    others: NetworkVehicles, trial: CandidateRollout, names: list[tuple[str, str, int]]
+    others: NetworkVehicles, rollout: CandidateRollout, names: list[tuple[str, str, int]]
 ) -> NetworkPrediction:
     """The prediction behind a decision, from the rollout buffer of its path; `names` are highway-env's names of the
     lanes."""
     vehicles, lanes, _ = others.marks.T
-    numbers, path = others.numbers, trial.path
+    numbers, path = others.numbers, rollout.path
     stands = np.flatnonzero(np.abs(path[1:, 3]) < _STANDS)
     frames = min(stands[0] + 2 if stands.size else len(path), others.least.shape[1])
     half = numbers[:, BODY_HALF]

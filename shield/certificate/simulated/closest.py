@@ -34,8 +34,8 @@ def lane_speed_target_of(search: TrafficSearch, target_speed: float, action: int
         speed = speeds[len(speeds) - 1]
     elif label == 4:
         speed = speeds[0]
-    elif label in (0, 2) and bounds.asked > 0:
-        left, right = (bounds.asked, 0.0) if label == 0 else (0.0, bounds.asked)
+    elif label in (0, 2) and bounds.requested_side > 0:
+        left, right = (bounds.requested_side, 0.0) if label == 0 else (0.0, bounds.requested_side)
     return LaneSpeedTarget(speed, left, right)
 
 
@@ -46,7 +46,7 @@ def stopping_cost(search: TrafficSearch) -> LaneSpeedTarget:
 
 
 @kernel_no_refcount
-def _bound_to_lose(search: TrafficSearch, k: int, decisions: int, wish: float) -> float:
+def _bound_to_lose(search: TrafficSearch, k: int, decisions: int, target_speed: float) -> float:
     """Lower bound on the distance that future k loses against a speed in the next `decisions` decisions [m]. It is the
     loss on an empty road, with the most favourable target speed at each decision; 0 where the ego's
     road leads back."""
@@ -54,13 +54,13 @@ def _bound_to_lose(search: TrafficSearch, k: int, decisions: int, wish: float) -
     if on_road(search, k)[1]:
         return 0.0
     speed, target, dt, lost = f[SPEED, ego], f[TARGET_SPEED, ego], rules.times[0], 0.0
-    up = speed < wish
+    up = speed < target_speed
     for _ in range(decisions):
         following = next_target_speed(rules.target_speeds, speed, 3 if up else 4)
         target = max(target, following) if up else min(target, following)
         for _ in range(rules.numbers[0]):
             speed += KP_A * (target - speed) * dt
-            left = wish - speed if up else speed - wish
+            left = target_speed - speed if up else speed - target_speed
             if left <= 0.0:
                 return lost
             lost += left * dt
@@ -106,7 +106,7 @@ def _expand(
     only: int,
     never: int,
     depth: int,
-    wish: LaneSpeedTarget,
+    command: LaneSpeedTarget,
     floor: float,
 ) -> int:
     """Simulate every action from a node, or from the present, and keep the best way to each lane and speed of the next
@@ -121,7 +121,7 @@ def _expand(
         tried[action, 0], tried[action, 1] = begin_action(search, source, spare, action)
         if repeats(tried, action):
             continue
-        least, cost = finish_action(search, spare, wish, floor)
+        least, cost = finish_action(search, spare, command, floor)
         if least < floor:
             continue
         ego = ego_in(search, spare)
@@ -135,7 +135,7 @@ def _expand(
         if floor < 0:
             cost = bound = -least
         else:
-            bound = cost + _bound_to_lose(search, spare, depth - level - 1, wish.speed)
+            bound = cost + _bound_to_lose(search, spare, depth - level - 1, command.speed)
         if not bound < (np.inf if slot == NOBODY else nodes.bound[slot]):
             continue
         if slot == NOBODY:
@@ -148,14 +148,14 @@ def _expand(
 
 
 @kernel_no_refcount
-def _best_node(search: TrafficSearch, only: int, never: int, depth: int, wish: LaneSpeedTarget, floor: float) -> int:
+def _best_node(search: TrafficSearch, only: int, never: int, depth: int, command: LaneSpeedTarget, floor: float) -> int:
     """The last node of the plan that `best_plan` finds, with its sequence in `search.plan`; `NOBODY` if there is
     none."""
     nodes = search.nodes
     for level in range(depth):
         for k in range(nodes.slots.shape[1]):
             nodes.slots[level, k] = NOBODY
-    node, count = NOBODY, _expand(search, NOBODY, 0, only, never, depth, wish, floor)
+    node, count = NOBODY, _expand(search, NOBODY, 0, only, never, depth, command, floor)
     while True:
         node = _next(nodes, count) if has_budget(search) else NOBODY
         if node == NOBODY:
@@ -164,7 +164,7 @@ def _best_node(search: TrafficSearch, only: int, never: int, depth: int, wish: L
         nodes.open[node] = False
         if nodes.level[node] == depth:
             break
-        count = _expand(search, node, count, only, never, depth, wish, floor)
+        count = _expand(search, node, count, only, never, depth, command, floor)
     found = node
     while node != NOBODY:
         search.plan[nodes.level[node] - 1] = nodes.action[node]
@@ -174,7 +174,7 @@ def _best_node(search: TrafficSearch, only: int, never: int, depth: int, wish: L
 
 @kernel_no_refcount
 def best_plan(
-    search: TrafficSearch, only: int, never: int, depth: int, wish: LaneSpeedTarget, floor: float
+    search: TrafficSearch, only: int, never: int, depth: int, command: LaneSpeedTarget, floor: float
 ) -> tuple[int, float]:
     """The sequence that stays clear for `depth` decisions and loses the least distance against a target command, into
     `search.plan`; if there is none, the longest one.
@@ -192,20 +192,20 @@ def best_plan(
     -------
     Number of decisions for which it stays clear, and its least clearance beyond the buffer [m], -inf if there is none.
     """
-    nodes, node = search.nodes, _best_node(search, only, never, depth, wish, floor)
+    nodes, node = search.nodes, _best_node(search, only, never, depth, command, floor)
     if node == NOBODY:
         return 0, -np.inf
     return nodes.level[node], nodes.clear[node]
 
 
 @kernel_no_refcount
-def clear_plan(search: TrafficSearch, only: int, never: int, wish: LaneSpeedTarget) -> float:
+def clear_plan(search: TrafficSearch, only: int, never: int, command: LaneSpeedTarget) -> float:
     """Least clearance beyond the buffer [m] of the plan that `best_plan` finds, -inf if it does not keep the buffer for
     the whole horizon."""
     nodes, depth, node = (
         search.nodes,
         search.bounds.depth,
-        _best_node(search, only, never, search.bounds.depth, wish, 0.0),
+        _best_node(search, only, never, search.bounds.depth, command, 0.0),
     )
     if node == NOBODY or nodes.level[node] < depth:
         return -np.inf
@@ -234,14 +234,14 @@ def _go_on_from(search: TrafficSearch, node: int) -> float:
 
 
 @kernel_no_refcount
-def closest_plan(search: TrafficSearch, proposed: int, wish: LaneSpeedTarget) -> float:
-    """The sequence that loses the least distance against a target command over its first `outlook` decisions, into
+def closest_plan(search: TrafficSearch, proposed: int, command: LaneSpeedTarget) -> float:
+    """The sequence that loses the least distance against a target command over its first `lookahead` decisions, into
     `search.plan`. It does not begin with the proposal, and stays clear for the whole horizon. Return its least
     clearance beyond the buffer [m], -inf if none is found."""
-    outlook, node = search.bounds.outlook, _best_node(search, ANY, proposed, search.bounds.outlook, wish, 0.0)
-    if node == NOBODY or search.nodes.level[node] < outlook:
+    lookahead, node = search.bounds.lookahead, _best_node(search, ANY, proposed, search.bounds.lookahead, command, 0.0)
+    if node == NOBODY or search.nodes.level[node] < lookahead:
         return -np.inf
     margin = _go_on_from(search, node)
     # A sequence that ends on a crossing keeps the buffer: another one need not be searched for.
     refused = search.resting.margin[0] >= 0.0
-    return margin if margin >= 0 or refused else clear_plan(search, ANY, proposed, wish)
+    return margin if margin >= 0 or refused else clear_plan(search, ANY, proposed, command)

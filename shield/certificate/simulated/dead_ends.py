@@ -22,9 +22,9 @@ _NEAR, _AS_FAST = 1.0, 0.5
 @kernel_no_refcount
 def is_dead_end_state(search: TrafficSearch, k: int) -> bool:
     """Whether future k, after k decisions, is close to a dead end."""
-    f, ego, states = search.futures.f[k], ego_in(search, k), search.dead.states[k]
+    f, ego, states = search.futures.f[k], ego_in(search, k), search.dead_ends.states[k]
     lane = search.futures.g[k, TARGET, ego]
-    for i in range(min(search.dead.buried[k], states.shape[0])):
+    for i in range(min(search.dead_ends.counts[k], states.shape[0])):
         here = abs(states[i, 0] - f[X, ego]) < _NEAR and abs(states[i, 1] - f[Y, ego]) < _NEAR
         bound = states[i, 3] == lane and states[i, 4] == f[TARGET_SPEED, ego]
         if here and bound and abs(states[i, 2] - f[SPEED, ego]) < _AS_FAST:
@@ -35,9 +35,9 @@ def is_dead_end_state(search: TrafficSearch, k: int) -> bool:
 @kernel_no_refcount
 def add_dead_end(search: TrafficSearch, k: int) -> None:
     """Store future k as a dead end."""
-    f, ego, dead = search.futures.f[k], ego_in(search, k), search.dead
-    row = dead.states[k, dead.buried[k] % dead.states.shape[1]]
-    dead.buried[k] += 1
+    f, ego, dead_ends = search.futures.f[k], ego_in(search, k), search.dead_ends
+    row = dead_ends.states[k, dead_ends.counts[k] % dead_ends.states.shape[1]]
+    dead_ends.counts[k] += 1
     row[0], row[1], row[2] = f[X, ego], f[Y, ego], f[SPEED, ego]
     row[3], row[4] = search.futures.g[k, TARGET, ego], f[TARGET_SPEED, ego]
 
@@ -45,5 +45,5 @@ def add_dead_end(search: TrafficSearch, k: int) -> None:
 @kernel_no_refcount
 def clear_dead_ends(search: TrafficSearch) -> None:
     """Clear the dead-end table; call when the root state or the clearance threshold changes."""
-    for k in range(search.dead.buried.shape[0]):
-        search.dead.buried[k] = 0
+    for k in range(search.dead_ends.counts.shape[0]):
+        search.dead_ends.counts[k] = 0

@@ -181,11 +181,11 @@ def replace(
     """Choose and record the action that replaces a proposal that does not verify; see `decide`."""
     n, stored, length, margin = search.order.shape[0], plans.actions[e], plans.length[e], -np.inf
     ranked, now = order.shape[0] > 0 and order[0] >= 0, search.futures.f[0, TARGET_SPEED, ego_in(search, 0)]
-    once, wish = has_no_certificate(plans, e), lane_speed_target_of(search, now, proposed)
+    once, command = has_no_certificate(plans, e), lane_speed_target_of(search, now, proposed)
     if once and not ranked:
-        margin, n = clear_plan(search, ANY, proposed, wish), 0
+        margin, n = clear_plan(search, ANY, proposed, command), 0
     elif not ranked:
-        margin = closest_plan(search, proposed, wish)
+        margin = closest_plan(search, proposed, command)
     for k in range(n):
         if margin >= 0 or (ranked and (k >= order.shape[0] or order[k] < 0)):
             break

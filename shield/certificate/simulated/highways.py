@@ -22,7 +22,7 @@ class SimulatedHighways(FilteredHighways):
 
     Parameters
     ----------
-    env_id, num_envs, config, threads, tape : as in `Simulator`.
+    env_id, num_envs, config, threads, replay_draws : as in `Simulator`.
     shield : settings with `Assumptions.simulated_traffic()`, or the path of a TOML file with them; by default
         `ShieldConfig.simulated_traffic()`.
 

@@ -16,15 +16,15 @@ __all__ = ["grant_last_budget", "has_budget", "reset_budget"]
 @kernel_no_refcount
 def _allow(search: TrafficSearch, decisions: int) -> None:
     """Allow `decisions` more from now on."""
-    search.spent[1] = search.spent[0] + decisions
+    search.nodes_used[1] = search.nodes_used[0] + decisions
 
 
 @kernel_no_refcount
 def reset_budget(search: TrafficSearch) -> None:
     """Reset the budget and the dead-end table for a new root state."""
     clear_dead_ends(search)
-    search.spent[0] = 0
-    _allow(search, search.bounds.effort)
+    search.nodes_used[0] = 0
+    _allow(search, search.bounds.node_budget)
 
 
 @kernel_no_refcount
@@ -37,4 +37,4 @@ def grant_last_budget(search: TrafficSearch) -> None:
 @kernel_no_refcount
 def has_budget(search: TrafficSearch) -> bool:
     """Whether any budget is left."""
-    return bool(search.spent[0] < search.spent[1])
+    return bool(search.nodes_used[0] < search.nodes_used[1])

@@ -80,8 +80,10 @@ class SimulatedRoads(SimulatedHighways):
         config = ShieldConfig.of(shield, ShieldConfig.simulated_traffic())
         return config if config.mode == "none" else super()._settings(config)
 
-    def _traffic(self, env_id: str, num_envs: int, config: Mapping[str, Any] | None, tape: bool) -> RoadSimulator:
-        if tape:
+    def _traffic(
+        self, env_id: str, num_envs: int, config: Mapping[str, Any] | None, replay_draws: bool
+    ) -> RoadSimulator:
+        if replay_draws:
             raise ConfigError("scenes are chosen on straight highways only")
         return RoadSimulator(env_id, num_envs, config)
 
@@ -94,13 +96,13 @@ class SimulatedRoads(SimulatedHighways):
             # frames.
             frames = rules.numbers[0]
             phase = int(simulator.episodes.worlds.g[0, FRAMES, 0] % frames)
-            rules = rules._replace(customs=rules.customs._replace(stay=frames, phase=phase))
+            rules = rules._replace(regulation=rules.regulation._replace(stay=frames, phase=phase))
             self._searches = [search._replace(rules=rules) for search in self._searches]
 
-    def look(self, e: int, rows: FloatArray) -> bool:
+    def write_rows(self, e: int, rows: FloatArray) -> bool:
         """Write the bodies of one environment to `rows`, (m, 7), in the order of the attribute `rows`. Return whether
         the ego is on the road."""
-        return bool(_look(self.worlds, self.simulator.scenario.rules, e, rows))
+        return bool(_write_rows(self.worlds, self.simulator.scenario.rules, e, rows))
 
     @property
     def worlds(self) -> Any:
@@ -123,7 +125,7 @@ class SimulatedRoads(SimulatedHighways):
         most = min(worth.duration / decision, worth.decisions or math.inf, _ENDLESS)
         return math.ceil(most) + 1
 
-    def reset_to(self, shares: FloatArray, which: Any) -> Any:
+    def reset_to(self, uniforms: FloatArray, which: Any) -> Any:
         """Not supported on road networks.
 
         Raises
@@ -152,7 +154,7 @@ class SimulatedRoads(SimulatedHighways):
             last,
             again,
         )
-        simulator.check_room()
+        simulator.check_capacity()
 
     def _mask(self, part: int, first: int, last: int, masks: BoolArray) -> None:
         if self.config.mode == "none":
@@ -162,7 +164,7 @@ class SimulatedRoads(SimulatedHighways):
 
 
 @kernel_inline
-def _look(worlds: NetworkWorlds, rules: EpisodeRules, e: int, rows: FloatArray) -> bool:
+def _write_rows(worlds: NetworkWorlds, rules: EpisodeRules, e: int, rows: FloatArray) -> bool:
     f, g, p, lanes = worlds.f[e], worlds.g[e], worlds.p[e], rules.drive.network.lanes
     ego, bodies, n = ego_of(g), worlds.counts[e, 1], 1
     write_row(f, g, p, ego, rows[0])
@@ -211,7 +213,7 @@ def _step_all(
         for k in range(rules.drive.numbers[0]):
             records.tiers[e, k], records.reasons[e, k], records.margins[e, k] = _OFF, 0, math.nan
             advance(machine, worlds, rules.drive, work.drive, e)
-            off_road[e, k] = not _look(worlds, rules, e, rows[e, k])
+            off_road[e, k] = not _write_rows(worlds, rules, e, rows[e, k])
         finish(machine, episodes, rules, work, seen, e, search.given)
         # The traffic is the one that was simulated, so no vehicle present can deviate.
         records.violations[e] = 0

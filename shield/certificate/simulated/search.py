@@ -152,11 +152,11 @@ def begin_action(search: TrafficSearch, source: int, target: int, action: int) -
 
 
 @kernel_no_refcount
-def finish_action(search: TrafficSearch, target: int, wish: LaneSpeedTarget, floor: float) -> tuple[float, float]:
+def finish_action(search: TrafficSearch, target: int, command: LaneSpeedTarget, floor: float) -> tuple[float, float]:
     """Simulate the rest of the decision that `begin_action` has begun; see `simulate_action`."""
-    futures, rules, bounds, allies = search.futures, search.rules, search.bounds, search.team.columns
+    futures, rules, bounds, columns = search.futures, search.rules, search.bounds, search.other_egos.columns
     f, g, dt, ego = futures.f[target], futures.g[target], rules.times[0], ego_in(search, target)
-    search.spent[0] += 1
+    search.nodes_used[0] += 1
     if on_road(search, target)[1]:
         return np.inf, 0.0
     level, least, lost = sorted_in(search, target), np.inf, 0.0
@@ -166,12 +166,12 @@ def finish_action(search: TrafficSearch, target: int, wish: LaneSpeedTarget, flo
         if g[CRASHED, ego] != 0 or not on:
             return -np.inf, lost
         least = min(least, clearance(futures, target, ego, bounds, search.row))
-        for i in range(allies.shape[0]):
-            if g[CRASHED, allies[i]] != 0:
+        for i in range(columns.shape[0]):
+            if g[CRASHED, columns[i]] != 0:
                 return -np.inf, lost
-            least = min(least, clearance(futures, target, allies[i], bounds, search.row))
+            least = min(least, clearance(futures, target, columns[i], bounds, search.row))
         left, right = lanes_beside(search, target)
-        lost += (abs(wish.speed - f[SPEED, ego]) + wish.left * left + wish.right * right) * dt
+        lost += (abs(command.speed - f[SPEED, ego]) + command.left * left + command.right * right) * dt
         if least < floor or turns_back:
             break
     return least, lost
@@ -179,13 +179,13 @@ def finish_action(search: TrafficSearch, target: int, wish: LaneSpeedTarget, flo
 
 @kernel_no_refcount
 def simulate_action(
-    search: TrafficSearch, source: int, target: int, action: int, wish: LaneSpeedTarget, floor: float
+    search: TrafficSearch, source: int, target: int, action: int, command: LaneSpeedTarget, floor: float
 ) -> tuple[float, float]:
     """Simulate an action in future `source`, with the result in future `target`.
 
     Parameters
     ----------
-    wish : target command. floor : clearance beyond the buffer below which the simulation stops [m].
+    command : target command. floor : clearance beyond the buffer below which the simulation stops [m].
 
     Returns
     -------
@@ -194,7 +194,7 @@ def simulate_action(
     lost : distance lost against the target command [m], including the cost of its lane.
     """
     begin_action(search, source, target, action)
-    return finish_action(search, target, wish, floor)
+    return finish_action(search, target, command, floor)
 
 
 @kernel_no_refcount
@@ -286,10 +286,10 @@ def depth_first(
     budget was spent before all sequences had been tried.
     """
     bounds, n, level, lasts = search.bounds, search.order.shape[0], known, known
-    until = min(search.spent[0] + budget - known, search.spent[1])
+    until = min(search.nodes_used[0] + budget - known, search.nodes_used[1])
     search.least[0] = np.inf
     clear, search.choices[known] = search.least[known], 0
-    while level >= 0 and lasts < bounds.depth and search.spent[0] < until:
+    while level >= 0 and lasts < bounds.depth and search.nodes_used[0] < until:
         tried = search.choices[level]
         search.choices[level] += 1
         only = level == 0 and first != ANY
@@ -320,7 +320,7 @@ def depth_first(
             for k in range(level):
                 search.plan[k] = search.sequence[k]
         search.choices[level] = 0
-    return lasts, clear if lasts > 0 else -np.inf, lasts < bounds.depth and search.spent[0] >= until
+    return lasts, clear if lasts > 0 else -np.inf, lasts < bounds.depth and search.nodes_used[0] >= until
 
 
 @kernel_no_refcount

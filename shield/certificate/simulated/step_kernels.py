@@ -7,7 +7,7 @@ import math
 from dynamics.compiled import kernel_no_refcount
 from dynamics.highway_simulator.arrays import ObservationConfig, StepResults, Worlds
 from dynamics.highway_simulator.neighbours import sort
-from dynamics.highway_simulator.step_kernels import advance, begin, begin_next_episode, finish, look
+from dynamics.highway_simulator.step_kernels import advance, begin, begin_next_episode, finish, write_rows
 from dynamics.state import BoolArray, FloatArray, IntArray
 from shield.batch.arrays import BatchRecords
 from shield.batch.codes import TIERS
@@ -46,7 +46,7 @@ def step_all_simulated(
         for k in range(rules.numbers[0]):
             records.tiers[e, k], records.reasons[e, k], records.margins[e, k] = _OFF, 0, math.nan
             level = advance(machine, worlds, rules, work, e, level, math.nan, math.nan)
-            off_road[e, k] = not look(worlds, rules, e, rows[e, k])
+            off_road[e, k] = not write_rows(worlds, rules, e, rows[e, k])
         finish(machine, worlds, rules, view, work, seen, e)
         # The traffic is the one that was simulated, so it cannot deviate.
         records.violations[e] = 0

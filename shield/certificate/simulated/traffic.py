@@ -29,11 +29,11 @@ def _start_highway(search: TrafficSearch, k: int) -> None:
 
 @kernel_no_refcount
 def _start_network(search: TrafficSearch, k: int) -> None:
-    team, g, rules = search.team, search.futures.g[k], search.rules
-    now = (g[FRAMES, 0] - team.since[0]) // rules.numbers[0]
+    other_egos, g, rules = search.other_egos, search.futures.g[k], search.rules
+    now = (g[FRAMES, 0] - other_egos.since[0]) // rules.numbers[0]
     _begin(search.machine, search.futures, rules, k, search.given)
-    for i in range(team.columns.shape[0]):
-        _command(search.machine, search.futures, rules, k, team.columns[i], team.plans[i, now])
+    for i in range(other_egos.columns.shape[0]):
+        _command(search.machine, search.futures, rules, k, other_egos.columns[i], other_egos.plans[i, now])
 
 
 @kernel_no_refcount
@@ -107,7 +107,7 @@ def _never(search: TrafficSearch, k: int) -> bool:
 @kernel_no_refcount
 def _where_ways_cross(search: TrafficSearch, k: int) -> bool:
     g, ego, rules = search.futures.g[k], _ego_of(search.futures.g[k]), search.rules
-    return rules.customs.stay > 0 and rules.network.ids[g[LANE, ego], CROSSES] != 0
+    return rules.regulation.stay > 0 and rules.network.ids[g[LANE, ego], CROSSES] != 0
 
 
 @kernel_no_refcount

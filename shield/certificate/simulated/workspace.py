@@ -29,23 +29,23 @@ ANY = -1
 NOBODY = -1
 """Stands for no node."""
 
-_OUTLOOK, _OUTLOOK_ON_NETWORKS = 8.0, 5.0
+_LOOKAHEAD, _LOOKAHEAD_ON_NETWORKS = 8.0, 5.0
 """Time over which alternatives are compared on straight highways and on networks [s]; beyond it they only have to stay
 clear."""
 _KEEP_RIGHT = 0.8
 """Cost of one lane further left, as a loss of speed [m/s]: among alternatives of similar speed the rightmost is chosen.
 highway-env's default reward gives 0.83 m/s for a lane on three."""
-_ASKED = 3.0
+_REQUESTED_SIDE = 3.0
 """The same on a network, for each lane that remains on the requested side: to leave the road there takes the outermost
 lane."""
 _BUDGET = 10
 """Decisions that one depth-first search may simulate for each decision of the horizon."""
-_EFFORT, _EFFORT_ON_NETWORKS = 1_000, 24
+_NODE_BUDGET, _NODE_BUDGET_ON_NETWORKS = 1_000, 24
 """The same for all searches of one decision together; on straight highways it is not reached."""
 _LAST, _LAST_ON_NETWORKS = 1_000, 4
 """The same for each of the two last searches, which follow if the others have failed: an extension of the stored
 sequence, and the longest sequence."""
-_DEAD = 64
+_DEAD_ENDS = 64
 """Capacity of the dead-end table for each number of decisions."""
 _NODES = 1024
 """Number of futures that a search over lanes and speeds may compare."""
@@ -57,25 +57,25 @@ class SearchLimits(NamedTuple):
     Attributes
     ----------
     longitudinal, lateral : buffer around the ego [m].
-    depth : decisions in the horizon. outlook : those of them over which alternatives are compared.
+    depth : decisions in the horizon. lookahead : those of them over which alternatives are compared.
     budget : decisions that one depth-first search may simulate.
-    effort : node budget of all searches of a decision. last : that of each of the two last searches.
+    node_budget : node budget of all searches of a decision. last : that of each of the two last searches.
     straight : whether the road is a straight highway. There, an action that has spent its budget is searched for over
         lanes and speeds; on a network, part of the budget is for joining the stored sequence.
-    keep_right : cost of one lane further left [m/s]. asked : cost of one lane on the requested side [m/s].
+    keep_right : cost of one lane further left [m/s]. requested_side : cost of one lane on the requested side [m/s].
     spare : index of a spare future; the futures of the nodes follow it.
     """
 
     longitudinal: float
     lateral: float
     depth: int
-    outlook: int
+    lookahead: int
     budget: int
-    effort: int
+    node_budget: int
     last: int
     straight: bool
     keep_right: float
-    asked: float
+    requested_side: float
     spare: int
 
 
@@ -98,12 +98,12 @@ class DeadEnds(NamedTuple):
 
     Attributes
     ----------
-    buried : number of states stored after each number of decisions, (depth + 1,).
+    counts : number of states stored after each number of decisions, (depth + 1,).
     states : the last of them: the ego's x, y [m], speed [m/s], target lane, and target speed [m/s], (depth + 1,
-        `_DEAD`, 5).
+        `_DEAD_ENDS`, 5).
     """
 
-    buried: IntArray
+    counts: IntArray
     states: FloatArray
 
 
@@ -171,14 +171,14 @@ class TrafficSearch(NamedTuple):
     futures : states: the present, those of a depth-first search by level, a spare one, and those of the nodes.
     order : all actions, those that slow down first.
     given : an action, (2,). row : a body, (1, 7).
-    spent : number of decisions simulated since the present was entered, and the number allowed, (2,).
+    nodes_used : number of decisions simulated since the present was entered, and the number allowed, (2,).
     choices : number of actions tried at each level, (depth + 1,).
     reached : target lane and target speed [m/s] of each of them, (depth + 1, actions + 1, 2).
     least : least clearance beyond the buffer up to each level, (depth + 1,) [m].
     plan : the sequence found, (depth,). hint : a sequence that is extended, (depth,).
     sequence : the sequence that a depth-first search is trying, (depth,).
-    team : the other egos, on a network. nodes : of a search over lanes and speeds.
-    dead : dead-end table. resting : a sequence that ends on a crossing.
+    other_egos : the other egos, on a network. nodes : of a search over lanes and speeds.
+    dead_ends : dead-end table. resting : a sequence that ends on a crossing.
     """
 
     machine: Machine
@@ -189,16 +189,16 @@ class TrafficSearch(NamedTuple):
     order: IntArray
     given: FloatArray
     row: FloatArray
-    spent: IntArray
+    nodes_used: IntArray
     choices: IntArray
     reached: FloatArray
     least: FloatArray
     plan: IntArray
     hint: IntArray
     sequence: IntArray
-    team: OtherEgos
+    other_egos: OtherEgos
     nodes: LaneSpeedNodes
-    dead: DeadEnds
+    dead_ends: DeadEnds
     resting: SequenceToCrossing
 
 
@@ -206,7 +206,7 @@ _SAFEST_FIRST = (4, 1, 2, 0, 3)
 """Labels of the actions (see `dynamics.highway_simulator.arrays.Rules`): slower, none, right, left, faster."""
 
 
-def _takes(search: TrafficSearch, simulator: Simulator | NetworkSimulator, allies: int) -> bool:
+def _takes(search: TrafficSearch, simulator: Simulator | NetworkSimulator, other_ego_count: int) -> bool:
     """Whether a search has the dimensions of a simulator's traffic."""
     old, rules = search.rules, simulator.rules
     return (
@@ -214,7 +214,7 @@ def _takes(search: TrafficSearch, simulator: Simulator | NetworkSimulator, allie
         and old.times == rules.times
         and np.array_equal(old.labels, rules.labels)
         and _kinds(old) == _kinds(rules)
-        and search.team.columns.shape == (allies,)
+        and search.other_egos.columns.shape == (other_ego_count,)
         and all(a.shape[1:] == b.shape[1:] for a, b in zip(search.futures, simulator.worlds, strict=True))
     )
 
@@ -225,33 +225,36 @@ def _kinds(rules: Any) -> int:
 
 
 def new_search(
-    simulator: Simulator | NetworkSimulator, config: ShieldConfig, allies: int = 0, old: TrafficSearch | None = None
+    simulator: Simulator | NetworkSimulator,
+    config: ShieldConfig,
+    other_ego_count: int = 0,
+    old: TrafficSearch | None = None,
 ) -> TrafficSearch:
-    """Workspace for searches in the traffic of a simulator, with `allies` other egos.
+    """Workspace for searches in the traffic of a simulator, with `other_ego_count` other egos.
 
     Parameters
     ----------
     simulator : the traffic. config : buffer and horizon.
     old : a search with the same settings that is no longer used; its buffers are reused if they have the right size.
     """
-    if old is not None and _takes(old, simulator, allies):
+    if old is not None and _takes(old, simulator, other_ego_count):
         return old._replace(machine=simulator.machine, rules=simulator.rules, work=simulator.new_work())
     rules, index = simulator.rules, np.intp
     labels = rules.labels.tolist()
     straight = isinstance(rules, Rules)
     depth = max(1, math.ceil((config.horizon if straight else config.network_horizon) / rules.times[1] - 1e-9))
-    outlook = _OUTLOOK if straight else _OUTLOOK_ON_NETWORKS
+    lookahead = _LOOKAHEAD if straight else _LOOKAHEAD_ON_NETWORKS
     bounds = SearchLimits(
         longitudinal=config.buffer.longitudinal,
         lateral=config.buffer.lateral,
         depth=depth,
-        outlook=min(depth, max(1, round(outlook / rules.times[1]))),
+        lookahead=min(depth, max(1, round(lookahead / rules.times[1]))),
         budget=_BUDGET * depth,
-        effort=(_EFFORT if straight else _EFFORT_ON_NETWORKS) * depth,
+        node_budget=(_NODE_BUDGET if straight else _NODE_BUDGET_ON_NETWORKS) * depth,
         last=(_LAST if straight else _LAST_ON_NETWORKS) * depth,
         straight=straight,
         keep_right=_KEEP_RIGHT,
-        asked=0.0 if straight else _ASKED,
+        requested_side=0.0 if straight else _REQUESTED_SIDE,
         spare=depth + 2,
     )
     kinds, order = _kinds(rules), np.array([labels.index(label) for label in _SAFEST_FIRST if label in labels], index)
@@ -266,14 +269,16 @@ def new_search(
         order=order,
         given=np.zeros(2),
         row=np.zeros((1, 7)),
-        spent=np.zeros(2, index),
+        nodes_used=np.zeros(2, index),
         choices=np.zeros(depth + 1, index),
         reached=np.zeros((depth + 1, len(labels) + 1, 2)),
         least=np.zeros(depth + 1),
         plan=np.zeros(depth, index),
         hint=np.zeros(depth, index),
         sequence=np.zeros(depth, index),
-        team=OtherEgos(np.zeros(allies, index), np.zeros((allies, depth + 1), index), np.zeros(1, index)),
+        other_egos=OtherEgos(
+            np.zeros(other_ego_count, index), np.zeros((other_ego_count, depth + 1), index), np.zeros(1, index)
+        ),
         nodes=LaneSpeedNodes(
             slots=np.full((depth, kinds), NOBODY, index),
             cost=np.zeros(n),
@@ -285,6 +290,6 @@ def new_search(
             action=np.zeros(n, index),
             open=np.zeros(n, np.bool_),
         ),
-        dead=DeadEnds(np.zeros(depth + 1, index), np.zeros((depth + 1, _DEAD, 5))),
+        dead_ends=DeadEnds(np.zeros(depth + 1, index), np.zeros((depth + 1, _DEAD_ENDS, 5))),
         resting=SequenceToCrossing(going, np.zeros(depth, index), np.zeros(1), np.zeros(1, np.bool_)),
     )

@@ -25,9 +25,9 @@ from shield.explaining.simulated import copy_of
 from shield.filters.input_frames import InputFrames
 from shield.filters.simulated.predicted_scene import (
     STATE,
+    LoadedSearch,
     PredictedScene,
     PredictingFilter,
-    Room,
     check_traffic,
     scene_failure,
     simulate_network,
@@ -81,8 +81,8 @@ class SimulatedInputFilter(PredictingFilter, InputFrames):
 
     def _simulate(self, base: Any, like: Any) -> NetworkSimulator:
         """Simulator with the limits of the lane-and-speed controllers."""
-        law = self.config.braking, self.actuators.acceleration[1], _HOLD
-        return simulate_network(base, like, law=law)
+        control_limits = self.config.braking, self.actuators.acceleration[1], _HOLD
+        return simulate_network(base, like, control_limits=control_limits)
 
     def reset(self) -> None:
         """Clear everything about the episode.
@@ -119,7 +119,7 @@ class SimulatedInputFilter(PredictingFilter, InputFrames):
         # The decision advances `present`.
         before, planned, length = copy_of(present.futures), tail.actions.copy(), int(tail.counts[0])
         if self._proposal is not None:
-            proposal = self._cruise.proposal(self._proposal, float(self._base.vehicle.speed))
+            proposal = self._speed_recovery.proposal(self._proposal, float(self._base.vehicle.speed))
         code, margin = decide_inputs(search, present, self._tail, proposal, known, self._inputs)
         self._scene.expect(present.futures.f[0][STATE])
         tier = TIERS[code]
@@ -156,16 +156,16 @@ class SimulatedInputFilter(PredictingFilter, InputFrames):
         inputs = self._inputs.copy()
         return inputs, Decision(inputs, inputs, reason, tier, np.nan, perf_counter() - start)
 
-    def _verifies(self, base: Any, room: Room) -> bool:
+    def _verifies(self, base: Any, loaded: LoadedSearch) -> bool:
         """Whether the lane-and-speed controllers verify in a scene, without an input before them. Read-only."""
-        simulator, search = room
+        simulator, search = loaded
         present = search._replace(futures=copy_of(simulator.worlds))
         search.futures.p[:], search.futures.routes[:] = present.futures.p, present.futures.routes
         tail = empty_tail(search.bounds.depth)
         code, _ = decide_inputs(search, present, tail, np.zeros(2), False, np.zeros(2))
         return TIERS[code].verified
 
-    def _law(self) -> tuple[int, int, float] | None:
+    def _controller_state(self) -> tuple[int, int, float] | None:
         """Whether the lane-and-speed controllers acted in the last frame, their target lane and speed [m/s]; None
         without a scene. They may continue from there, also after an action has ended."""
         if self._present is None:
@@ -185,17 +185,17 @@ class SimulatedInputFilter(PredictingFilter, InputFrames):
         only at a mismatch, since some vehicles have already acted for the coming frame.
         """
         search, present = self._search, self._present
-        if begins or search is None or present is None or not self._scene.as_foretold():
-            law, foretold = self._law(), self._scene.foretells
+        if begins or search is None or present is None or not self._scene.is_as_predicted():
+            controllers, predicted = self._controller_state(), self._scene.has_prediction
             simulator, search = self._scene.read()
             present = search._replace(futures=simulator.worlds)
-            if self._scene.surprised or not foretold:
+            if self._scene.mismatched or not predicted:
                 # The stored plan was for another scene.
                 self._tail.counts[:] = 0
-            elif law is not None:
+            elif controllers is not None:
                 # highway-env has no state of these controllers: restore it.
                 f, g, ego = simulator.worlds.f[0], simulator.worlds.g[0], self._scene.ego(self._scene.bodies())
-                g[USES_CONTROLLERS, ego], g[TARGET, ego], f[TARGET_SPEED, ego] = law
+                g[USES_CONTROLLERS, ego], g[TARGET, ego], f[TARGET_SPEED, ego] = controllers
             if len(self._tail.actions) != search.bounds.depth:
                 self._tail = empty_tail(search.bounds.depth)
             self._search, self._present = search, present

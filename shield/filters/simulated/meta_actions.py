@@ -37,9 +37,9 @@ from shield.explaining.simulated import SimulatedDecisionData, copy_of
 from shield.filters.discrete_action import action_index
 from shield.filters.simulated.predicted_scene import (
     STATE,
+    LoadedSearch,
     PredictedScene,
     PredictingFilter,
-    Room,
     check_traffic,
     scene_failure,
     simulate_network,
@@ -139,9 +139,9 @@ class SimulatedMetaActionFilter(PredictingFilter):
             search, copy_of(simulator.worlds), proposed, self._plans.actions[0], self._plans.length[0]
         )
 
-    def _verifies(self, base: Any, room: Room) -> bool:
+    def _verifies(self, base: Any, loaded: LoadedSearch) -> bool:
         """Whether any sequence of actions verifies in a scene. Read-only."""
-        simulator, search = room
+        simulator, search = loaded
         plans, records = empty_plans(1, search.bounds.depth), empty_records(1, 1)
         if len(self._plans.actions[0]) == search.bounds.depth and self._plans.verified[0]:
             plans = deepcopy(self._plans)
@@ -188,10 +188,10 @@ class SimulatedMetaActionFilter(PredictingFilter):
         replace(self._search, self._plans, records, 0, 1, np.full(1, -1, np.intp))
         last_resort(records, self._plans, 0, 4, records.reason[0])
 
-    def _read(self, counting: bool = True) -> Room:
+    def _read(self, counting: bool = True) -> LoadedSearch:
         """The present traffic, and search buffers for it. The stored plan is kept if the scene is as predicted."""
         simulator, search = self._scene.read(counting)
-        if self._scene.surprised:
+        if self._scene.mismatched:
             self._plans.length[0] = 0
         if len(self._plans.actions[0]) != search.bounds.depth:
             self._plans = empty_plans(1, search.bounds.depth)

@@ -35,9 +35,9 @@ from shield.filters.discrete_action import action_index
 from shield.filters.simulated.meta_actions import as_decision
 from shield.filters.simulated.predicted_scene import (
     STATE,
+    LoadedSearch,
     PredictedScene,
     PredictingFilter,
-    Room,
     scene_failure,
     simulate_network,
 )
@@ -144,7 +144,7 @@ class MultiAgentFilter(PredictingFilter):
         for k, plans in enumerate(self._plans):
             if len(plans.actions[0]) != search.bounds.depth:
                 self._plans[k] = empty_plans(1, search.bounds.depth)
-            elif self._scene.surprised:
+            elif self._scene.mismatched:
                 plans.length[0] = 0
         decisions = self._one_by_one(actions, self._base, (simulator, search), self._plans, start)
         simulate_action(search, 0, 1, int(decisions[-1].executed), LaneSpeedTarget(0.0, 0.0, 0.0), -math.inf)
@@ -152,46 +152,50 @@ class MultiAgentFilter(PredictingFilter):
         return decisions
 
     def _one_by_one(
-        self, actions: Sequence[Any], base: Any, room: Room, remembered: list[StoredSequences], start: float
+        self, actions: Sequence[Any], base: Any, loaded: LoadedSearch, remembered: list[StoredSequences], start: float
     ) -> list[Decision]:
         """Decide for one ego after the other in the scene of `base`. Updates `remembered`, the egos' plans."""
-        simulator, search = room
+        simulator, search = loaded
         depth, slowest = search.bounds.depth, int(search.order[0])
         wanted = np.full((self.agents, depth + 1), slowest, np.intp)
         for k, plans in enumerate(remembered):
             wanted[k, : plans.length[0]] = plans.actions[0, : plans.length[0]]
         columns = np.array([base.road.vehicles.index(vehicle) for vehicle in base.controlled_vehicles], np.intp)
         g, decisions = simulator.worlds.g[0], []
-        search.team.since[0] = g[FRAMES, 0]
+        search.other_egos.since[0] = g[FRAMES, 0]
         for k, action in enumerate(actions):
             others = [i for i in range(self.agents) if i != k]
-            search.team.columns[:], search.team.plans[:] = columns[others], wanted[others]
+            search.other_egos.columns[:], search.other_egos.plans[:] = columns[others], wanted[others]
             g[KIND, columns] = ALLY
             g[KIND, columns[k]] = EGO
-            decisions.append(self._of_one(action, room, remembered[k], start))
+            decisions.append(self._of_one(action, loaded, remembered[k], start))
             plans, start = remembered[k], perf_counter()
             wanted[k] = slowest
             wanted[k, 0] = decisions[-1].executed
             wanted[k, 1 : 1 + plans.length[0]] = plans.actions[0, : plans.length[0]]
         return decisions
 
-    def _of_one(self, action: Any, room: Room, plans: StoredSequences, start: float) -> Decision:
+    def _of_one(self, action: Any, loaded: LoadedSearch, plans: StoredSequences, start: float) -> Decision:
         """Decide for one ego."""
         proposed, records = action_index(action), empty_records(1, 1)
-        (simulator, search), source = room, None
+        (simulator, search), source = loaded, None
         if not try_proposal(search, plans, records, simulator.worlds, 0, proposed):
-            team = search.team.columns.copy(), search.team.plans.copy(), int(search.team.since[0])
+            other_egos = (
+                search.other_egos.columns.copy(),
+                search.other_egos.plans.copy(),
+                int(search.other_egos.since[0]),
+            )
             planned = plans.actions[0], plans.length[0]
-            source = self._scene.kept(search, copy_of(simulator.worlds), proposed, *planned, team)
+            source = self._scene.kept(search, copy_of(simulator.worlds), proposed, *planned, other_egos)
             replace(search, plans, records, 0, proposed, np.array([-1], np.intp))
         return as_decision(action if proposed < 0 else proposed, records, start, source=source)
 
-    def _verifies(self, base: Any, room: Room) -> bool:
+    def _verifies(self, base: Any, loaded: LoadedSearch) -> bool:
         """Whether some sequences of actions of all egos verify in a scene. Read-only."""
-        depth, slowest = room[1].bounds.depth, int(room[1].order[0])
+        depth, slowest = loaded[1].bounds.depth, int(loaded[1].order[0])
         alike = all(len(plans.actions[0]) == depth and plans.verified[0] for plans in self._plans)
         plans = deepcopy(self._plans) if alike else [empty_plans(1, depth) for _ in self._plans]
-        decisions = self._one_by_one([slowest] * self.agents, base, room, plans, perf_counter())
+        decisions = self._one_by_one([slowest] * self.agents, base, loaded, plans, perf_counter())
         return all(decision.tier.verified for decision in decisions)
 
     def _last_resort(self, actions: Sequence[Any], reason: Reason, start: float) -> list[Decision]:

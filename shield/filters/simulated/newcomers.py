@@ -14,15 +14,15 @@ Verifies = Callable[[Any], bool]
 """Whether any sequence of actions verifies in an environment, unwrapped; False if it cannot be simulated."""
 
 
-def unpredicted(base: Any, foretold: Set[Any]) -> set[Any]:
+def unpredicted(base: Any, predicted: Set[Any]) -> set[Any]:
     """Vehicles and obstacles that were not predicted, without the egos and those that highway-env may have spawned
     itself.
 
     Parameters
     ----------
-    base : highway-env's environment, unwrapped. foretold : the bodies of the predicted scene.
+    base : highway-env's environment, unwrapped. predicted : the bodies of the predicted scene.
     """
-    known = foretold | set(base.controlled_vehicles)
+    known = predicted | set(base.controlled_vehicles)
     bodies = (*base.road.vehicles, *base.road.objects)
     return {body for body in bodies if body not in known and not may_have_spawned(base, body)}
 

@@ -29,11 +29,19 @@ from shield.explaining.simulated import SimulatedDecisionData
 from shield.filters.discrete_action import action_labels
 from shield.filters.simulated.newcomers import blocking, unpredicted
 
-__all__ = ["STATE", "PredictedScene", "PredictingFilter", "Room", "check_traffic", "scene_failure", "simulate_network"]
+__all__ = [
+    "STATE",
+    "LoadedSearch",
+    "PredictedScene",
+    "PredictingFilter",
+    "check_traffic",
+    "scene_failure",
+    "simulate_network",
+]
 
 _log = logging.getLogger(__name__)
 
-Room = tuple[Simulator | NetworkSimulator, TrafficSearch]
+LoadedSearch = tuple[Simulator | NetworkSimulator, TrafficSearch]
 """A simulator of the present scene, and search buffers for it."""
 STATE = [X, Y, HEADING, SPEED]
 """Rows of the predicted arrays."""
@@ -85,14 +93,14 @@ class PredictedScene:
     config : settings with `Assumptions.simulated_traffic()`.
     simulate : makes a simulator of the environment's present state. Its second argument is an earlier simulator of the
         same road, or None.
-    verifies : whether any sequence of actions verifies in a scene, given its environment and its `Room`.
+    verifies : whether any sequence of actions verifies in a scene, given its environment and its `LoadedSearch`.
 
     Attributes
     ----------
     by_rule : violations by rule, counted whenever the scene is read. "unforeseen": a body that has moved otherwise than
         predicted, or changed its size. "appeared": a newcomer that has crashed with an ego, or with which no sequence
         of actions verifies.
-    surprised : whether the scene differs from the prediction.
+    mismatched : whether the scene differs from the prediction.
     """
 
     def __init__(
@@ -100,12 +108,12 @@ class PredictedScene:
         base: Any,
         config: ShieldConfig,
         simulate: Callable[[Any, Any], Simulator | NetworkSimulator],
-        verifies: Callable[[Any, Room], bool],
+        verifies: Callable[[Any, LoadedSearch], bool],
     ) -> None:
         self._base, self._config, self._simulate, self._verifies = base, config, simulate, verifies
         self.by_rule: dict[str, int] = {}
         self._sizes: FloatArray = np.zeros((len(_SIZE), 0))
-        self._rooms: dict[int, Room] = {}
+        self._loaded: dict[int, LoadedSearch] = {}
         self.expect_nothing()
 
     @property
@@ -123,15 +131,15 @@ class PredictedScene:
 
     def expect_nothing(self) -> None:
         """Clear the prediction of the next scene."""
-        self.surprised = False
+        self.mismatched = False
         self._counted: set[Any] = set()
-        self._foretold: FloatArray = np.zeros((len(STATE) + len(_SIZE), 0))
-        self._foretold_of: dict[Any, int] = {}
+        self._predicted_states: FloatArray = np.zeros((len(STATE) + len(_SIZE), 0))
+        self._predicted_columns: dict[Any, int] = {}
 
     @property
-    def foretells(self) -> bool:
+    def has_prediction(self) -> bool:
         """Whether there is a prediction of the next scene."""
-        return bool(self._foretold_of)
+        return bool(self._predicted_columns)
 
     def expect(self, states: FloatArray) -> None:
         """Set the prediction of the next scene.
@@ -141,10 +149,10 @@ class PredictedScene:
         states : rows x, y [m], heading [rad] and speed [m/s] of its bodies, (4, m). The bodies keep their sizes of the
             last scene read.
         """
-        self._foretold, self._foretold_of = np.concatenate([states, self._sizes]), self.bodies()
+        self._predicted_states, self._predicted_columns = np.concatenate([states, self._sizes]), self.bodies()
         self._counted = set()
 
-    def read(self, counting: bool = True) -> Room:
+    def read(self, counting: bool = True) -> LoadedSearch:
         """The present scene; with `counting`, prediction mismatches are counted as violations.
 
         Raises
@@ -153,28 +161,28 @@ class PredictedScene:
             If it cannot be simulated.
         """
         try:
-            room = self._load()
+            loaded = self._load()
         except (SceneError, ConfigError):
             if counting and self._base.road is not None:
                 self._count(self._blocking(self._newcomers()), NetworkRule.APPEARED)
             raise
-        worlds = room[0].worlds
+        worlds = loaded[0].worlds
         self._sizes = worlds.p[0][_SIZE]
         others = self._compare(np.concatenate([worlds.f[0][STATE], self._sizes]))
         newcomers = self._newcomers()
         if counting:
             self._count(others, NetworkRule.UNFORESEEN)
             self._count(self._blocking(newcomers), NetworkRule.APPEARED)
-        self.surprised = self.surprised or bool(newcomers)
-        return room
+        self.mismatched = self.mismatched or bool(newcomers)
+        return loaded
 
-    def _load(self) -> Room:
+    def _load(self) -> LoadedSearch:
         """Load the present state into a simulator with the right number of bodies."""
         base = self._base
         if isinstance(base, CompiledHighwayEnv):
-            return self._rooms.get(0) or self._furnish(0, base.simulator)
+            return self._loaded.get(0) or self._furnish(0, base.simulator)
         bodies = 0 if base.road is None else len(base.road.vehicles) + len(base.road.objects)
-        known = self._rooms.get(bodies)
+        known = self._loaded.get(bodies)
         if known is None or not known[0].fits(base):
             return self._furnish(bodies, self._simulate(base, self._of_this_road()))
         known[0].load(base)
@@ -182,9 +190,9 @@ class PredictedScene:
 
     def look(self) -> None:
         """Count the prediction mismatches at the end of an episode, after which no scene is read."""
-        if not self.foretells:
+        if not self.has_prediction:
             return
-        base, surprised = self._base, self.surprised
+        base, mismatched = self._base, self.mismatched
         if isinstance(base, CompiledHighwayEnv):
             worlds = base.simulator.worlds
             states = np.concatenate([worlds.f[0][STATE], worlds.p[0][_SIZE]])
@@ -192,7 +200,7 @@ class PredictedScene:
             states = _states(self.bodies())
         self._count(self._compare(states), NetworkRule.UNFORESEEN)
         self._count(self._blocking(self._newcomers()), NetworkRule.APPEARED)
-        self.surprised = surprised
+        self.mismatched = mismatched
 
     def _count(self, others: set[Any], rule: NetworkRule) -> None:
         """Count each body at most once for each prediction."""
@@ -203,11 +211,11 @@ class PredictedScene:
 
     def _newcomers(self) -> set[Any]:
         """Bodies that were not predicted, and bodies so far from their prediction that they were placed there."""
-        if not self.foretells or isinstance(self._base, CompiledHighwayEnv):
+        if not self.has_prediction or isinstance(self._base, CompiledHighwayEnv):
             return set()
-        known = [(body, self._foretold_of[body]) for body in self.bodies() if body in self._foretold_of]
-        foretold = self._foretold[:2, [column for _, column in known]]
-        far = np.hypot(*(np.array([body.position for body, _ in known]).T.reshape(2, -1) - foretold)) > _ELSEWHERE
+        known = [(body, self._predicted_columns[body]) for body in self.bodies() if body in self._predicted_columns]
+        predicted = self._predicted_states[:2, [column for _, column in known]]
+        far = np.hypot(*(np.array([body.position for body, _ in known]).T.reshape(2, -1) - predicted)) > _ELSEWHERE
         return unpredicted(self._base, {body for (body, _), moved in zip(known, far, strict=True) if not moved})
 
     def _blocking(self, newcomers: set[Any]) -> set[Any]:
@@ -220,14 +228,14 @@ class PredictedScene:
             simulator = self._simulate(base, self._of_this_road())
         except (SceneError, ConfigError):
             return False
-        return self._verifies(base, (simulator, new_search(simulator, self._config, self._allies())))
+        return self._verifies(base, (simulator, new_search(simulator, self._config, self._other_ego_count())))
 
-    def as_foretold(self) -> bool:
+    def is_as_predicted(self) -> bool:
         """Whether the bodies and their states are as predicted. Reads their states only."""
         bodies = self.bodies()
-        if bodies.keys() != self._foretold_of.keys():
+        if bodies.keys() != self._predicted_columns.keys():
             return False
-        return bool((np.abs(_states(bodies) - self._foretold) <= _SAME).all())
+        return bool((np.abs(_states(bodies) - self._predicted_states) <= _SAME).all())
 
     def bodies(self) -> dict[Any, int]:
         """Columns of the scene, by body."""
@@ -246,7 +254,7 @@ class PredictedScene:
         """
         rows = np.zeros((length * search.rules.numbers[0] + 1, search.futures.f.shape[2], 7))
         rows = rows[: simulate_sequence(search, actions, length, rows)]
-        ego = self.ego(self._foretold_of)
+        ego = self.ego(self._predicted_columns)
         others = np.delete(rows, ego, axis=1)
         cos, sin = np.abs(np.cos(others[..., 2])), np.abs(np.sin(others[..., 2]))
         half = np.stack([others[..., 4] * cos + others[..., 5] * sin, others[..., 4] * sin + others[..., 5] * cos]) / 2
@@ -260,7 +268,7 @@ class PredictedScene:
         proposal: Any,
         planned: IntArray,
         length: int,
-        team: tuple[Any, ...] | None = None,
+        other_egos: tuple[Any, ...] | None = None,
     ) -> SimulatedDecisionData:
         """Data for an explanation of a refusal; parameters as of `SimulatedDecisionData`. `planned` has `length`
         actions."""
@@ -274,23 +282,23 @@ class PredictedScene:
             proposal=proposal,
             labels=[labels[k] for k in sorted(labels)],
             hint=planned[:length].copy(),
-            team=team,
+            other_egos=other_egos,
         )
 
-    def _furnish(self, bodies: int, simulator: Simulator | NetworkSimulator) -> Room:
+    def _furnish(self, bodies: int, simulator: Simulator | NetworkSimulator) -> LoadedSearch:
         """Allocate buffers for a number of bodies. Where vehicles spawn and leave, the buffers are kept for each
         number."""
-        old = self._rooms[bodies][1] if bodies in self._rooms else None
-        self._rooms[bodies] = simulator, new_search(simulator, self._config, self._allies(), old)
-        return self._rooms[bodies]
+        old = self._loaded[bodies][1] if bodies in self._loaded else None
+        self._loaded[bodies] = simulator, new_search(simulator, self._config, self._other_ego_count(), old)
+        return self._loaded[bodies]
 
-    def _allies(self) -> int:
+    def _other_ego_count(self) -> int:
         """Number of egos besides the first."""
         return 0 if isinstance(self._base, CompiledHighwayEnv) else len(self._base.controlled_vehicles) - 1
 
     def _of_this_road(self) -> Simulator | NetworkSimulator | None:
         """An existing simulator of the episode's road; None without one."""
-        of_networks = (s for s, _ in self._rooms.values() if isinstance(s, NetworkSimulator))
+        of_networks = (s for s, _ in self._loaded.values() if isinstance(s, NetworkSimulator))
         return next((s for s in of_networks if s.is_on(self._base)), None)
 
     def ego(self, bodies: dict[Any, int]) -> int:
@@ -303,13 +311,13 @@ class PredictedScene:
         If the ego has a mismatch too, it may be the cause of the others'. Then the result has only the vehicles that it
         has crashed with.
         """
-        bodies, before = self.bodies(), self._foretold_of
+        bodies, before = self.bodies(), self._predicted_columns
         known = [(body, k, before[body]) for body, k in bodies.items() if body in before]
         columns = np.array([each[1:] for each in known], np.intp).reshape(-1, 2)
-        now, foretold = states[:, columns[:, 0]], self._foretold[:, columns[:, 1]]
-        there = np.hypot(*(now - foretold)[:2]) <= _ELSEWHERE  # a body further away is a newcomer
-        other = there & ~(np.abs(now - foretold) <= _SAME).all(axis=0)
-        self.surprised = bool(other.any())
+        now, predicted = states[:, columns[:, 0]], self._predicted_states[:, columns[:, 1]]
+        there = np.hypot(*(now - predicted)[:2]) <= _ELSEWHERE  # a body further away is a newcomer
+        other = there & ~(np.abs(now - predicted) <= _SAME).all(axis=0)
+        self.mismatched = bool(other.any())
         found, ego = {known[k][0] for k in np.flatnonzero(other)}, self.ego(bodies)
         if any(bodies[body] == ego for body in found):
             crashed = getattr(getattr(self._base, "vehicle", None), "crashed", False)

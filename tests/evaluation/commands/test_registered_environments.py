@@ -130,7 +130,7 @@ def test_a_find_is_replayed_in_the_registered_environment():
     from dynamics.highway_simulator.simulator import Simulator
 
     setting = Setting("registered", "registered-stock-v0")
-    draws = Simulator("registered-stock-v0", 1, setting.configured, tape=True).draws
+    draws = Simulator("registered-stock-v0", 1, setting.configured, replay_draws=True).draws
     shares = tuple(np.linspace(0.05, 0.95, draws).tolist())
     find = Find("registered-stock-v0", {}, ShieldConfig(mode="none").to_toml(), "any", shares, (3,), 0.0)
     explicit = Find("highway-fast-v0", CONFIG, find.shield, "any", shares, (3,), 0.0)

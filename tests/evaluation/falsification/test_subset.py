@@ -84,7 +84,7 @@ def test_numbers_that_do_not_fit_are_refused(samples, share, performance):
 
 def test_scenes_of_ones_own_choice():
     """The shares that a generator would have drawn give the scene that it gives."""
-    drawn, chosen = Simulator("highway-fast-v0", 1), Simulator("highway-fast-v0", 1, tape=True)
+    drawn, chosen = Simulator("highway-fast-v0", 1), Simulator("highway-fast-v0", 1, replay_draws=True)
     rng, m = np.random.default_rng(0), drawn.scenario.bodies
     assert chosen.draws == 2 + 4 * (m - 1)
     shares = rng.random(chosen.draws)

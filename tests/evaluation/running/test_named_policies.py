@@ -98,8 +98,8 @@ def test_steps_of_throttle_and_steering_have_constant_policies():
 
 
 def test_other_actions_have_no_constant_policy():
-    team = {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}
-    env = get_setting("highway-fast").override({"action": team}).make()
+    multi_agent = {"type": "MultiAgentAction", "action_config": {"type": "DiscreteMetaAction"}}
+    env = get_setting("highway-fast").override({"action": multi_agent}).make()
     try:
         with pytest.raises(ConfigError, match="takes MultiAgentAction; several egos are driven by ShieldedEnv"):
             make_policy("idle", env)

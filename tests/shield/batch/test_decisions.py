@@ -210,7 +210,7 @@ def test_a_scene_that_is_not_finite_is_not_judged():
     for k in range(4):
         for worlds in (one.unwrapped.simulator.worlds, many.simulator.worlds):
             worlds.f[0, 3, 7] = np.nan if k == 1 else 21.0
-        one.unwrapped.simulator.look(one.unwrapped.frames[-1])
+        one.unwrapped.simulator.write_rows(one.unwrapped.frames[-1])
         one.step(3)
         many.step([3])
         if k == 0:

@@ -99,7 +99,7 @@ def test_a_drive_on_complex_roads_matches_its_prediction():
         rng = np.random.default_rng(seed)
         for _ in range(40):
             *_, terminated, _, info = env.step(int(rng.integers(45)))
-            assert not env._filter._scene.surprised
+            assert not env._filter._scene.mismatched
             assert env.unwrapped.vehicle.on_road
             assert info["shield"]["violations"] == 0
             if terminated:

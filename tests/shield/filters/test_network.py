@@ -138,7 +138,7 @@ def test_the_driven_path_is_the_verified_path(env_id):
         if expected:
             assert now == expected
         answer = ask()
-        expected[:] = network_filter._trial.path[1].tolist()
+        expected[:] = network_filter._rollout.path[1].tolist()
         return answer
 
     network_filter.frame = frame

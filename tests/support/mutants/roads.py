@@ -152,7 +152,7 @@ ROADS = (
         _JUDGING,
         "least_separation",
         "_(0, 0, True, _[_])",
-        "{1}(0, road.duty.reaction, True, {2}[{3}])",
+        "{1}(0, road.response.reaction, True, {2}[{3}])",
         _CLAUSES,
     ),
     off(
@@ -465,7 +465,7 @@ ROADS = (
         _JUDGING,
         "_has_obligation",
         "_[_, 0]",
-        "trial.boxes[{2}, 0, 0] + road.body.along - road.body.length",
+        "rollout.boxes[{2}, 0, 0] + road.body.along - road.body.length",
         _JOINTS,
         which=2,
     ),

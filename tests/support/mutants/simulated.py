@@ -316,7 +316,7 @@ SIMULATED = (
     off(
         "nobody looks between two decisions",
         "shield.filters.simulated.predicted_scene",
-        "PredictedScene.as_foretold",
+        "PredictedScene.is_as_predicted",
         "bool((_(_(_) - _) <= _)._())",
         "True",
         _INPUTS,

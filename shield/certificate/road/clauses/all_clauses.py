@@ -167,7 +167,7 @@ def _separations(plan: PlannedPath, scene: ClauseScene, q: int, hold: int, desk:
     obligation, to `desk.apart` [m]. Return the number of frames before the first negative separation."""
     frames, near, home, found = plan.path.shape[0], desk.near, desk.home, desk.apart
     x, foot, around, others = scene.settings, scene.foot, scene.around, scene.around.others
-    centers, visible, duty = scene.ground.centers, scene.ground.visible, follower_response_of(x, hold)
+    centers, visible, response = scene.ground.centers, scene.ground.visible, follower_response_of(x, hold)
     since = _lateral(plan, scene, q, hold, desk)
     ego = extents(plan.path, plan.turned, foot, x.dt, desk.bounds)
     if not ego.finite:
@@ -188,12 +188,12 @@ def _separations(plan: PlannedPath, scene: ClauseScene, q: int, hold: int, desk:
         _rears(desk, frames, around, hold, near[j : j + 1], desk.rear, True)
         goal, at_once, already = centers[home[j]], -1, visible[home[j]]
         if already > 0:
-            at_once = max(duty.reaction + 1 - already, 0)
+            at_once = max(response.reaction + 1 - already, 0)
         most = stretch[1, k] if stretch.shape[1] > 0 else 1.0
         other = UnobligatedVehicle(
             left, right, most_left, most_right, later, length, others.behind[k], goal, at_once, v, s + length, most
         )
-        found[j], first = separation(plan, ego, desk.bounds, foot, other, desk.rear[0], duty)
+        found[j], first = separation(plan, ego, desk.bounds, foot, other, desk.rear[0], response)
         reached = min(reached, first)
     return reached
 

@@ -171,13 +171,19 @@ def coming_frame(
 
 @kernel_inline
 def _front(
-    path: FloatArray, frames: int, other: UnobligatedVehicle, duty: FollowerResponse, front: FloatArray
+    path: FloatArray, frames: int, other: UnobligatedVehicle, response: FollowerResponse, front: FloatArray
 ) -> float:
     """Write the greatest s of a vehicle after each frame to `front`, (at least K,) [m]. It accelerates; a follower does
     so until its braking begins. Return the distance that a follower may still advance after the last frame [m]."""
     v0, start, stretch, center, at_once = other.speed, other.front, other.stretch, other.center, other.at_once
-    seen, reaction, gain, loss, most = duty.seen, duty.reaction, duty.acceleration, duty.braking, duty.max_speed
-    hold, dt, power = duty.hold, duty.dt, duty.power
+    seen, reaction, gain, loss, most = (
+        response.seen,
+        response.reaction,
+        response.acceleration,
+        response.braking,
+        response.max_speed,
+    )
+    hold, dt, power = response.hold, response.dt, response.power
     # The response starts when the ego has become visible for good; each loss of visibility restarts the reaction time.
     first = 1
     for k in range(frames - 1, -1, -1):
@@ -215,7 +221,7 @@ def separation(
     size: Footprint,
     other: UnobligatedVehicle,
     rear: FloatArray,
-    duty: FollowerResponse,
+    response: FollowerResponse,
 ) -> tuple[float, int]:
     """Least separation of a path from a vehicle without a distance obligation [m], and the first frame in which
     it is negative, or K. NaN and 0 for a vehicle that is not finite: `rear` is cumulative, so that its last frame shows
@@ -224,10 +230,11 @@ def separation(
     Parameters
     ----------
     plan : the path. ego, bounds : its `extents`; `bounds[4]` is a buffer. size : the ego's footprint.
-    other : the vehicle. rear : least s of its body after each frame, (at least K,) [m]. duty : follower response model.
+    other : the vehicle. rear : least s of its body after each frame, (at least K,) [m]. response : follower response
+        model.
     """
     path, turned, front = plan.path, plan.turned, bounds[4]
-    frames, left, right, behind, dt = path.shape[0], other.left, other.right, other.behind, duty.dt
+    frames, left, right, behind, dt = path.shape[0], other.left, other.right, other.behind, response.dt
     since = other.since
     known = math.isfinite(left + right + rear[frames - 1])
     if not known or ((behind or ego.turned) and not math.isfinite(other.speed + other.front + other.stretch)):
@@ -239,7 +246,7 @@ def separation(
         return beside, frames
     more = 0.0
     if behind or ego.turned:
-        more = _front(path, frames, other, duty, front)
+        more = _front(path, frames, other, response, front)
     least, first = np.inf, frames
     for k in range(frames):
         if k == since:

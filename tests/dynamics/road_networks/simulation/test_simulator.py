@@ -244,8 +244,8 @@ def test_unsupported_networks_and_egos_are_refused():
         network_of(bent)
     with pytest.raises(ConfigError, match="RoundaboutEnv"):
         check_network(gym.make("parking-v0").unwrapped)
-    team = {"type": "MultiAgentAction", "action_config": {"type": "ContinuousAction"}}
-    several = gym.make("intersection-multi-agent-v0", config={"action": team})
+    multi_agent = {"type": "MultiAgentAction", "action_config": {"type": "ContinuousAction"}}
+    several = gym.make("intersection-multi-agent-v0", config={"action": multi_agent})
     several.reset(seed=0)
     with pytest.raises(ConfigError, match="several egos take meta-actions, not ContinuousAction"):
         NetworkSimulator(several)

@@ -123,7 +123,7 @@ def test_the_law_is_highway_envs_controllers(env_id):
     ego, plain = meta.vehicle, inputs.vehicle
     plain.position, plain.heading, plain.speed = ego.position.copy(), ego.heading, ego.speed
     ego.route, ego.target_speed = None, ego.speed
-    law = NetworkSimulator(inputs, law=(1e9, 1e9, 1.0))
+    law = NetworkSimulator(inputs, control_limits=(1e9, 1e9, 1.0))
     simulator = NetworkSimulator(meta)
     for action in (1, 0, 1, 2, 1):
         mine, theirs = law.step(action), simulator.step(action)
@@ -135,7 +135,7 @@ def test_the_accelerations_of_the_law_are_bounded():
     env = make_inputs("highway-fast-v0").unwrapped
     env.reset(seed=0)
     env.road.vehicles = env.road.vehicles[:1]
-    law = NetworkSimulator(env, law=(9.8, 5.0, 1.0))
+    law = NetworkSimulator(env, control_limits=(9.8, 5.0, 1.0))
     speeds = [law.worlds.f[0, SPEED, 0]]
     for action in (4, 4, 4, 3, 3, 3):
         speeds += [row[0, 3] for row in law.step(action)]

@@ -41,7 +41,7 @@ def scene(env_id, lane, s, speed, others=(), things=(), config=None):
     network_filter = NetworkFilter(base, config or ShieldConfig.for_roads())
     network_filter.reset()
     network_filter._read()
-    network_filter._others.owes[:] = False
+    network_filter._others.obliged[:] = False
     return network_filter
 
 
@@ -51,7 +51,7 @@ def margin(network_filter, seconds, speed, lenient=False):
     frames = 1 + round(seconds * network_filter._frequency)
     row = np.array([lane, speed, 1e3, frames, 0, HARD], float)
     return try_candidate(
-        network_filter._alone, network_filter._road, network_filter._others, row, lenient, network_filter._trial
+        network_filter._alone, network_filter._road, network_filter._others, row, lenient, network_filter._rollout
     ).margin
 
 
@@ -88,7 +88,7 @@ def test_a_vehicle_ahead_on_a_ring_does_not_count_as_a_follower(env_id):
     assert alone < CLEAR
     margin(network_filter, 0.0, 0.0)
     network_filter._keep_distance(network_filter.watch.last.identities, True)
-    assert network_filter._others.owes.any()
+    assert network_filter._others.obliged.any()
     assert margin(network_filter, 1.0, 3.0, lenient=True) == alone
 
 
@@ -132,7 +132,7 @@ def test_a_follower_that_has_to_merge_has_no_obligation():
     for behind, owes in ((ramp, False), (lane, True)):
         network_filter = scene("merge-v0", lane, 60.0, 5.0, [(behind, 10.0, 20.0)])
         assert (margin(network_filter, 0.0, 0.0) >= CLEAR) == owes
-        assert network_filter.is_owed_by(network_filter._base.road.vehicles[1]) == owes
+        assert network_filter.has_distance_obligation(network_filter._base.road.vehicles[1]) == owes
 
 
 def test_a_vehicle_that_rolls_back_does_so_until_it_stands():
@@ -178,7 +178,7 @@ def test_a_vehicle_beside_its_lane_has_to_return():
     body = base.road.vehicles[1]
     for k in range(2):
         body.position = base.road.network.get_lane(lane).position(20.0 + k, -1.2)
-        seen.append(network_filter._look())
+        seen.append(network_filter._predict())
     for clear, broken in (({body}, {NetworkRule.WAYS: 1}), (set(), {})):
         watch = NetworkMonitor()
         for k in range(2):
@@ -193,9 +193,9 @@ def test_the_ego_does_not_evade_into_a_lane_that_ends():
     for aside in (-1, 1):
         row = np.array([network_filter._index["b", "c", 1], 20.0, 1e3, 5, aside, HARD], float)
         try_candidate(
-            network_filter._alone, network_filter._road, network_filter._others, row, False, network_filter._trial
+            network_filter._alone, network_filter._road, network_filter._others, row, False, network_filter._rollout
         )
-        lanes.append(network_filter._names[int(network_filter._trial.bound[10])])
+        lanes.append(network_filter._names[int(network_filter._rollout.bound[10])])
     assert lanes == [("b", "c", 0), ("b", "c", 1)]
 
 
@@ -258,7 +258,7 @@ def test_a_vehicle_that_waits_has_its_reaction_time_first():
     for s in range(112, 124):
         network_filter = scene("roundabout-v0", RING, 8.0, 8.0, [(("eer", "ees", 0), float(s), 14.0)], config=WAITS)
         fresh = margin(network_filter, 3.0, 8.0, lenient=True)
-        network_filter._others.gives[:] = network_filter._road.duty.reaction
+        network_filter._others.gives[:] = network_filter._road.response.reaction
         known = margin(network_filter, 3.0, 8.0, lenient=True)
         assert known >= CLEAR or fresh < CLEAR
         if known >= CLEAR > fresh:
@@ -347,14 +347,14 @@ def test_a_follower_is_asked_for_no_more_braking_than_it_can_do(gap, clear):
     index = network_filter._index[lane]
     row = np.array([[index, 0.0, 1e3, 0, 0, HARD]])
     for owes in (False, True):
-        network_filter._others.owes[0, index] = owes
+        network_filter._others.obliged[0, index] = owes
         found = choose(
             network_filter._alone,
             network_filter._road,
-            network_filter._bare.body,
+            network_filter._without_buffer.body,
             network_filter._others,
             row,
-            network_filter._trial,
+            network_filter._rollout,
             network_filter._braking.bodies,
         )
         assert (found.margin >= CLEAR) == (clear and (owes or gap > 25.0))

@@ -50,7 +50,7 @@ def test_a_follower_that_creeps_up_to_the_body_keeps_its_obligation(length, widt
     for decision, network_filter, nearest in creep_up(length, width, step, until):
         assert decision.tier.verified, nearest
         assert network_filter.violations == 0
-        assert network_filter.is_owed_by(network_filter._base.road.vehicles[1])
+        assert network_filter.has_distance_obligation(network_filter._base.road.vehicles[1])
     assert nearest < until + step
 
 

@@ -116,7 +116,7 @@ def test_every_strip_of_a_body_encloses_its_outline(env_id, which, share, r, ang
     lane = lanes[index]
     body.position, body.heading = lane.position(share * lane.length, r), lane.heading_at(share * lane.length) + angle
     body.LENGTH, body.WIDTH, body.lane_index, body.lane = length, width, index, lane
-    others, numbers = network_filter._look().others, list(lanes)
+    others, numbers = network_filter._predict().others, list(lanes)
     now = np.flatnonzero(others.marks[:, 2] == -1)
     assert now.size
     for lane_number, row in zip(others.marks[now, 1], others.numbers[now], strict=True):
@@ -145,13 +145,13 @@ def test_a_body_that_keeps_to_its_lane_stays_inside_the_predicted_band(env_id, w
     index = list(lanes)[number]
     lane = lanes[index]
     aside = 0.5 * (length * abs(np.sin(angle)) + width * np.cos(angle))
-    assume(abs(r) + aside <= 0.5 * width + road.conduct.sway)
+    assume(abs(r) + aside <= 0.5 * width + road.bounds.sway)
     body.position, body.heading = lane.position(share * lane.length, r), lane.heading_at(share * lane.length) + angle
     body.LENGTH, body.WIDTH = length, width
     row = np.array([*body.position, body.heading, 5.0, length, width, 0.0])
     s, across, middle = outline_on(lane, body)
-    assert np.abs(s - middle).max() <= body_half(road.lanes, number, row, road.conduct) + TOLERANCE
-    assert np.abs(across).max() <= centred_half(road.lanes, number, row, road.conduct) + SMALL
+    assert np.abs(s - middle).max() <= body_half(road.lanes, number, row, road.bounds) + TOLERANCE
+    assert np.abs(across).max() <= centred_half(road.lanes, number, row, road.bounds) + SMALL
 
 
 def decided(env_id, ego, other):
@@ -211,5 +211,5 @@ def test_the_margin_to_a_vehicle_does_not_depend_on_another():
         network_filter.reset()
         network_filter._read()
         network_filter._try(stopping(network_filter._bound, 9.8))
-        margins.append(network_filter._trial.margins[0])
+        margins.append(network_filter._rollout.margins[0])
     assert margins[0] == margins[1]

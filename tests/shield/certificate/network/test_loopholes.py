@@ -92,7 +92,7 @@ def test_a_short_follower_around_the_ring_causes_no_prediction_mismatch(length):
         while s > lanes[k].length:
             s, k = s - lanes[k].length, k + 1
         follower.put(lanes[k].position(s, 0), lanes[k].heading_at(s), 8.0)
-        owed.append(env.filter.is_owed_by(follower))
+        owed.append(env.filter.has_distance_obligation(follower))
 
     drive(env, FASTER, 2, follow)
     assert any(owed)
@@ -195,7 +195,7 @@ def test_a_stale_lane_index_is_not_believed():
             it.lane_index, it.lane = stale, lane
         touched.append((frame, dict(env.filter.by_rule)))
         if frame == 10:
-            marks = env.filter._look().others.marks
+            marks = env.filter._predict().others.marks
             there = {env.filter._names[lane] for lane in marks[marks[:, 2] == -1, 1]}
             assert road.network.get_closest_lane_index(it.position, it.heading) in there
 
@@ -257,7 +257,7 @@ def test_a_motion_beyond_the_bound_that_uses_up_a_margin_is_a_violation_of_any_s
         watch.last, watch.breaking, watch.by_rule = last, {}, {}
         kept = ahead.position.copy()
         ahead.put(kept + np.array([least - less, 0.0]), 0.0, 20.0 - 6.0 / 15)
-        watch.next(network_filter._look(), {ahead}, np.array([-5e-7]), network_filter._road, set())
+        watch.next(network_filter._predict(), {ahead}, np.array([-5e-7]), network_filter._road, set())
         ahead.put(kept, 0.0, 20.0)
         assert {str(rule): count for rule, count in watch.by_rule.items()} == named
 

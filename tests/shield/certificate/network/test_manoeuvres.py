@@ -33,39 +33,39 @@ def tried(asked):
 def test_the_proposal_is_tried_before_its_replacements(asked):
     tiers = [tier for _, tier in tried(asked)]
     assert tiers == sorted(tiers, key=[Tier.PASSED, Tier.GOVERNED].index)
-    assert all(course[:3] == (*asked[0], COMMITTED) for course, tier in tried(asked) if tier is Tier.PASSED)
+    assert all(manoeuvre[:3] == (*asked[0], COMMITTED) for manoeuvre, tier in tried(asked) if tier is Tier.PASSED)
 
 
 @given(ASKED)
 def test_no_candidate_is_faster_than_the_proposal_or_the_vehicle_can_be(asked):
     wish, stored, speed, bound, _ = asked
-    for course, tier in tried(asked):
-        if tier is Tier.GOVERNED and course is not stored:
-            assert course.speed <= min(wish.speed, speed + 5.0)
-            assert course.lane in {wish.lane, *bound, *([] if stored is None else [stored.lane])}
-        assert course.frames < frames_of(HERTZ, 9.8)
+    for manoeuvre, tier in tried(asked):
+        if tier is Tier.GOVERNED and manoeuvre is not stored:
+            assert manoeuvre.speed <= min(wish.speed, speed + 5.0)
+            assert manoeuvre.lane in {wish.lane, *bound, *([] if stored is None else [stored.lane])}
+        assert manoeuvre.frames < frames_of(HERTZ, 9.8)
 
 
 @given(ASKED)
 def test_the_stored_plan_and_a_standstill_are_always_candidates(asked):
     wish, stored, *_ = asked
-    courses = [course for course, _ in tried(asked)]
+    courses = [manoeuvre for manoeuvre, _ in tried(asked)]
     assert stored is None or stored in courses
-    assert any(course.lane == wish.lane and course.speed == 0.0 for course in courses)
+    assert any(manoeuvre.lane == wish.lane and manoeuvre.speed == 0.0 for manoeuvre in courses)
 
 
 @given(LANES, SPEEDS, st.integers(0, 20), st.sampled_from([-1, 0, 1]), LANES)
 def test_a_continued_manoeuvre_ends_in_braking(lane, speed, frames, aside, bound):
-    course = EgoManoeuvre(lane, speed, COMMITTED, frames, aside, BRAKING)
+    manoeuvre = EgoManoeuvre(lane, speed, COMMITTED, frames, aside, BRAKING)
     for left in reversed(range(frames)):
-        course = remainder_after_frame(course, bound)
-        assert (course.lane, course.frames, course.aside) == (bound, left, aside)
+        manoeuvre = remainder_after_frame(manoeuvre, bound)
+        assert (manoeuvre.lane, manoeuvre.frames, manoeuvre.aside) == (bound, left, aside)
     # It turns aside once, in its first frame of braking.
-    course = remainder_after_frame(course, bound)
-    assert (course.frames, course.aside) == (0, 0)
-    assert remainder_after_frame(course, bound) == course
+    manoeuvre = remainder_after_frame(manoeuvre, bound)
+    assert (manoeuvre.frames, manoeuvre.aside) == (0, 0)
+    assert remainder_after_frame(manoeuvre, bound) == manoeuvre
 
 
 def test_stopping_is_to_brake_at_once():
-    course = stopping(3, BRAKING)
-    assert (course.lane, course.speed, course.frames, course.hard) == (3, 0.0, 0, BRAKING)
+    manoeuvre = stopping(3, BRAKING)
+    assert (manoeuvre.lane, manoeuvre.speed, manoeuvre.frames, manoeuvre.hard) == (3, 0.0, 0, BRAKING)

@@ -211,7 +211,7 @@ def test_reachable_intervals_around_a_loop_lie_inside_those_of_the_frame_before(
             vehicle.place = around(network, start, lambda frame: (frame * 10.0 * dt, 10.0 + frame * rate * dt))
             vehicle.frame = frame - 1
             vehicle.step(dt)
-            seen.append(env.filter._look().others)
+            seen.append(env.filter._predict().others)
         assert _inside(seen[0], 0, seen[1], 0, env.filter._road), start
         passes |= {tuple(np.unique(others.marks[:, 1], return_counts=True)[1]) for others in seen}
     assert len(passes) > 1

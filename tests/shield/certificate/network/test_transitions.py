@@ -51,7 +51,7 @@ class Scene:
     def see(self):
         """The scene, without obligations."""
         self.network_filter._read()
-        self.network_filter._others.owes[:] = False
+        self.network_filter._others.obliged[:] = False
         return self.network_filter._others
 
     def margin(self, lane, speed, frames):
@@ -60,7 +60,7 @@ class Scene:
         self.see()
         network_filter = self.network_filter
         return try_candidate(
-            network_filter._alone, network_filter._road, network_filter._others, row, False, network_filter._trial
+            network_filter._alone, network_filter._road, network_filter._others, row, False, network_filter._rollout
         ).margin
 
     def rules(self, before, after):
@@ -76,7 +76,7 @@ class Scene:
         for lane, position, heading, length, width in states:
             self.put(self.other, lane, position, heading, 0.0)
             self.other.LENGTH, self.other.WIDTH = length, width
-            yield self.network_filter._look()
+            yield self.network_filter._predict()
 
 
 def test_a_vehicle_that_narrows_at_the_outer_edge_of_an_arc_is_a_violator():
@@ -119,7 +119,7 @@ def test_a_last_frame_of_rolling_back_lowers_no_margin(turned, r, gap):
     scene.put(scene.other, own, [60.0 + gap, 0.0], 0.0, back)
     scene.ego.target_lane_index = beside
     then = scene.margin(beside, 10.0, 30)
-    x, y, heading, speed = scene.network_filter._trial.path[1]
+    x, y, heading, speed = scene.network_filter._rollout.path[1]
     scene.put(scene.ego, own, [x, y], heading, speed)
     scene.put(scene.other, own, [60.0 + gap + back * dt, 0.0], 0.0, 0.0)
     scene.ego.target_lane_index = beside
@@ -167,7 +167,7 @@ def test_a_vehicle_that_newly_fits_past_the_ego_is_a_violator(lane, ego, other, 
     for across in (other[1], then):
         scene.on(scene.other, lane, on.length + other[0], across, 0.0)
         margins.append(scene.margin(lane, 0.0, 1))
-        seen.append(replace(scene.network_filter._look(), others=scene.network_filter._others))
+        seen.append(replace(scene.network_filter._predict(), others=scene.network_filter._others))
     assert not margins[0] >= CLEAR > margins[1] or scene.rules(*seen) == {NetworkRule.WAYS}
 
 

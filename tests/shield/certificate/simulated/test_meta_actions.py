@@ -17,7 +17,7 @@ from slowly import later
 
 from dynamics.highway_simulator.env import CompiledHighwayEnv
 from dynamics.highway_simulator.simulator import Simulator
-from dynamics.highway_simulator.step_kernels import look
+from dynamics.highway_simulator.step_kernels import write_rows
 from dynamics.traffic.assumptions import Assumptions
 from evaluation.measuring.rectangles import separation
 from evaluation.running.batch_episodes import Many
@@ -366,10 +366,10 @@ def test_the_search_does_not_change_the_present_state():
     highways = SimulatedHighways("highway-fast-v0", 1)
     highways.reset([3])
     rows = np.zeros((highways.simulator.scenario.bodies, 7))
-    look(highways.worlds, highways.simulator.scenario.rules, 0, rows)
+    write_rows(highways.worlds, highways.simulator.scenario.rules, 0, rows)
     search, plans = new_search(highways.simulator, EXACT), empty_plans(1, 20)
     set_root_scene(search, highways.worlds, 0)
     find_sequence(search, 3, plans.actions[0], 0)
     after = rows.copy()
-    look(highways.worlds, highways.simulator.scenario.rules, 0, after)
+    write_rows(highways.worlds, highways.simulator.scenario.rules, 0, after)
     assert np.array_equal(rows, after)

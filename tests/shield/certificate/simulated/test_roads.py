@@ -131,12 +131,12 @@ def test_the_longest_clear_plan_lasts_as_long_as_the_stored_plan(seed):
     while not over:
         planned = roads.plans.length[0]
         *_, terminated, truncated = roads.step([FASTER])
-        over, most = bool(terminated[0] or truncated[0]), max(most, search.spent[0])
+        over, most = bool(terminated[0] or truncated[0]), max(most, search.nodes_used[0])
         if TIERS[roads.records.tier[0]] == Tier.LARGEST_MARGIN and not over:
             boxed_in += 1
             assert roads.plans.length[0] >= planned - 1
     assert boxed_in > 1
-    assert bounds.effort < most <= bounds.effort + 2 * (bounds.last + len(search.order))
+    assert bounds.node_budget < most <= bounds.node_budget + 2 * (bounds.last + len(search.order))
 
 
 def driven(env_id, seed, decisions):
@@ -183,7 +183,7 @@ def test_a_proposal_that_cannot_join_the_stored_plan_slows_down(env_id, seed, de
     assert depth_first(search, FASTER, stored, length, 0, 0.0, budget)[0] < search.bounds.depth
     set_root_scene(search, roads.worlds, 0)
     assert find_sequence(search, FASTER, stored, length)[0] >= 0
-    assert search.spent[0] <= budget + len(search.order)
+    assert search.nodes_used[0] <= budget + len(search.order)
 
 
 @pytest.mark.parametrize("seed", [52, 130])
@@ -257,7 +257,7 @@ def test_the_proposal_is_executed_without_a_shield(name):
 
 def test_unsupported_roads_and_options_are_refused():
     with pytest.raises(ConfigError, match="straight highways only"):
-        SimulatedRoads("merge-v0", 1, tape=True)
+        SimulatedRoads("merge-v0", 1, replay_draws=True)
     with pytest.raises(ConfigError, match="straight highways only"):
         SimulatedRoads("merge-v0", 1).reset_to(np.zeros((1, 3)), [0])
     with pytest.raises(ConfigError, match="filter meta-actions"):

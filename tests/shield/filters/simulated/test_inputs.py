@@ -72,7 +72,7 @@ def test_no_vehicle_comes_into_the_buffer_of_verified_inputs(env_id, policy):
         tiers.append(decision.tier)
         shield = env
         # The ego included, to the last bit; a float32 error would show after some frames.
-        assert not env._filter._scene.surprised
+        assert not env._filter._scene.mismatched
         assert base.vehicle.on_road
         if decision.tier.verified:
             assert least >= -1e-9

@@ -84,7 +84,7 @@ def test_the_joint_plans_are_clear():
             continue
         copy, plans, driven = deepcopy(base), [p.actions[0, : p.length[0]] for p in env._filter._plans], driven + 1
         # Except vehicles that have appeared since the decision.
-        known = list(env._filter._scene._foretold_of)
+        known = list(env._filter._scene._predicted_columns)
         there = [v in known for v in base.road.vehicles]
         copy.road.vehicles = [v for v, old in zip(copy.road.vehicles, there, strict=True) if old]
         for actions in list(zip(*plans, strict=False))[:8]:

@@ -37,7 +37,9 @@ def count(perception: ObservationPerception, base: Any, unseen: Unseen, found: C
         found["behind"] += 1
         for name, across in (("in its lane", 3.0), ("in it or beside it", 7.0)):
             pool = perception.behind.passed
-            nearest = pool[np.abs(pool[:, 1] - vehicle.position[1]) < across, 0].max(initial=perception.behind.stranger)
+            nearest = pool[np.abs(pool[:, 1] - vehicle.position[1]) < across, 0].max(
+                initial=perception.behind.nearest_unseen
+            )
             found[f"behind, nearer than anybody {name}"] += nearest < ahead_by - 0.01
 
 

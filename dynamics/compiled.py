@@ -124,13 +124,13 @@ def _digest(function: Callable[..., Any]) -> str:
     NameError
         If the function reads a global name that is not defined yet: a later change of its value would not be noticed.
     """
-    asked = set(_globals_read(function.__code__))
-    later = asked - function.__globals__.keys() - vars(builtins).keys()
+    read_names = set(_globals_read(function.__code__))
+    later = read_names - function.__globals__.keys() - vars(builtins).keys()
     if later - {function.__name__}:
         # The value of a name that is not defined yet cannot be part of the digest.
         raise NameError(f"kernel {function.__qualname__} needs {', '.join(sorted(later))}: define that before it")
     parts = [function.__qualname__, repr(function.__defaults__), *_bytecode(function.__code__)]
-    for name in sorted(asked & function.__globals__.keys()):
+    for name in sorted(read_names & function.__globals__.keys()):
         parts.append(f"{name}={_value_digest(function.__globals__[name], function)}")
     return sha256("\0".join(parts).encode()).hexdigest()
 

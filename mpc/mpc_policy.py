@@ -6,8 +6,8 @@ all reachable rectangles of the others within the assumptions, and able to stop.
 follow too far behind: the plan ends in a stop, so a constant low speed costs the least. The policy reads the
 simulator's true state.
 
-Lanes are compared by room: the distance to the next vehicle ahead, plus its change in `_LOOK` seconds at its present
-speed. A lane change needs a gain of `_WORTH` metres of room, and has to leave followers their distance.
+Lanes are compared by room: the distance to the next vehicle ahead, plus its change in `_LOOKAHEAD_TIME` seconds at its
+present speed. A lane change needs a gain of `_WORTH` metres of room, and has to leave followers their distance.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from mpc.filter.result import FilterResult
 
 __all__ = ["MPCPolicy"]
 
-_LOOK = 4.0
+_LOOKAHEAD_TIME = 4.0
 _WORTH = 1.0
 _FAR = 200.0
 """Room beyond which a lane counts as empty [m]."""
@@ -144,19 +144,21 @@ class MPCPolicy:
         road, ego = scene.road, scene.ego_road
         around = OtherVehicles(scene.others, scene.others_road, road, self.assumptions, scene.dt)
         here = road.lane_at(float(ego[RoadState.R]))
-        room = np.full(road.centers.size, _FAR)
+        free_distance = np.full(road.centers.size, _FAR)
         if around.lane.size:
             s, v = scene.others_road[:, RoadState.S] - ego[RoadState.S], scene.others_road[:, RoadState.SPEED]
             inside = (around.low[:, None] < road.centers + 1.0) & (around.high[:, None] > road.centers - 1.0)
             ahead = s > 0
-            gain = s - around.reach + _LOOK * (v - ego[RoadState.SPEED])
-            room = np.minimum(np.where(inside & ahead[:, None], gain[:, None], _FAR).min(axis=0), _FAR)
+            gain = s - around.reach + _LOOKAHEAD_TIME * (v - ego[RoadState.SPEED])
+            free_distance = np.minimum(np.where(inside & ahead[:, None], gain[:, None], _FAR).min(axis=0), _FAR)
         now = here if self._lane is None or abs(self._lane - here) > 1 else self._lane
         best = now
         for lane in (here - 1, here, here + 1):
             if not 0 <= lane < road.centers.size or road.forbidden[lane]:
                 continue
-            if room[lane] > room[best] + (_WORTH if best == now else 0.0) and self._free(scene, around, here, lane):
+            if free_distance[lane] > free_distance[best] + (_WORTH if best == now else 0.0) and self._free(
+                scene, around, here, lane
+            ):
                 best = lane
         if best != here and not self._free(scene, around, here, best):
             best = here
@@ -225,7 +227,7 @@ class MPCPolicy:
             speed = np.minimum(speed, np.sqrt(_BEND / np.maximum(tight, 1e-6)))
         problem = FilterProblem(
             state=ego,
-            proposal=self._wish(scene, float(speed[0]), float(way[min(_AHEAD, settings.stages) - 1])),
+            proposal=self._tracking_proposal(scene, float(speed[0]), float(way[min(_AHEAD, settings.stages) - 1])),
             occupancy=boxes,
             half=half,
             edges=edges,
@@ -246,7 +248,7 @@ class MPCPolicy:
         rows = np.flatnonzero((~behind | enters) & between)
         return rows[np.argsort(np.abs(ds[rows]), kind="stable")][:_NEAREST]
 
-    def _wish(self, scene: Scene, speed: float, r: float) -> FloatArray:
+    def _tracking_proposal(self, scene: Scene, speed: float, r: float) -> FloatArray:
         """Proposal on an empty road: track a speed [m/s] and a lateral position [m]."""
         low, high = self.actuators.acceleration if self.actuators.longitudinal else (0.0, 0.0)
         a = float(np.clip(KP_SPEED * (speed - scene.ego_road[RoadState.SPEED]), low, high))

@@ -62,7 +62,7 @@ class Bends:
             self._grown[key] = float(along.max(initial=0.0)), float(across.max(initial=0.0)) + self.deviation
         return self._grown[key]
 
-    def slip(self, length: float) -> float:
+    def slip_angle(self, length: float) -> float:
         """Greatest angle to the path [rad] of a vehicle of a given length [m] that keeps its lane."""
         tightest = max(abs(k) / (1 - k * r) for k in (self.least, self.greatest) for r in (self.low, self.high))
         return float(np.arcsin(min(0.5 * length * tightest, 1.0))) + (_KINK if self.deviation > 0 else 0.0)

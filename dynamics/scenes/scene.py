@@ -110,7 +110,7 @@ class Scene:
         object.__setattr__(self, "ego_road", self.road.to_road(self.ego))
         object.__setattr__(self, "others_road", self.road.to_road(self.others, near=float(self.ego_road[0])))
 
-    def narrowed(self, share: float) -> Scene:
+    def with_shrunk_bounds(self, share: float) -> Scene:
         """The scene with bounds shrunk to a share of their distance from the most likely states."""
         if self.likely is None:
             return self

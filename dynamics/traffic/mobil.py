@@ -133,10 +133,10 @@ def _counts_in_lane(r: float, across: float, center: float, sight: float) -> boo
 
 @kernel_inline
 def lane_change_incentive(
-    j: int, traffic: TrafficInLanes, lanes: LaneSight, ego: FloatArray, asked: BoolArray, out: BoolArray
+    j: int, traffic: TrafficInLanes, lanes: LaneSight, ego: FloatArray, requested: BoolArray, out: BoolArray
 ) -> None:
     """Whether vehicle `j` would gain by a change into the lane below its own in r, and into the one above, `out` (2,),
-    written. Only lanes `asked` for (2,) are computed; the others are False. The other parameters are those of
+    written. Only lanes `requested` for (2,) are computed; the others are False. The other parameters are those of
     `lane_change_incentives`."""
     states, across, lane, low, high = traffic.states, traffic.across, traffic.lane, traffic.low, traffic.high
     centers, sight, slack = lanes.centers, lanes.sight, lanes.slack
@@ -147,7 +147,7 @@ def lane_change_incentive(
     # Of the lanes below and above: distance and speed of the next vehicle ahead, and of the next behind.
     gap0, gap1, back0, back1 = np.inf, np.inf, np.inf, np.inf
     speed0, speed1, behind0, behind1 = 0.0, 0.0, 0.0, 0.0
-    below, above = asked[0] and lane[j] > 0, asked[1] and lane[j] + 1 < centers.shape[0]
+    below, above = requested[0] and lane[j] > 0, requested[1] and lane[j] + 1 < centers.shape[0]
     low0, high1 = centers[lane[j] - 1] if below else np.nan, centers[lane[j] + 1] if above else np.nan
     for i in range(states.shape[0]):
         if i == j:
@@ -171,7 +171,7 @@ def lane_change_incentive(
 
 @kernel_no_refcount
 def lane_change_incentives(
-    traffic: TrafficInLanes, lanes: LaneSight, ego: FloatArray, asked: BoolArray, out: BoolArray
+    traffic: TrafficInLanes, lanes: LaneSight, ego: FloatArray, requested: BoolArray, out: BoolArray
 ) -> None:
     """Whether each vehicle would gain by a change into the lane below its own in r, and into the one above, `out` (m,
     2), written.
@@ -180,9 +180,9 @@ def lane_change_incentives(
     ----------
     ego : road state (4,) of the ego. It counts as a leader in the old lane, but not as a vehicle in the new one: the
         others do not see it there.
-    asked : which lane changes to compute, (m, 2); the others are False in `out`.
+    requested : which lane changes to compute, (m, 2); the others are False in `out`.
     """
     for j in range(traffic.states.shape[0]):
         out[j, 0] = out[j, 1] = False
-        if asked[j, 0] or asked[j, 1]:
-            lane_change_incentive(j, traffic, lanes, ego, asked[j], out[j])
+        if requested[j, 0] or requested[j, 1]:
+            lane_change_incentive(j, traffic, lanes, ego, requested[j], out[j])

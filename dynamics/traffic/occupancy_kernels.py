@@ -38,15 +38,15 @@ class LaneMarkings(NamedTuple):
     Attributes
     ----------
     centers : (lanes,) [m]. width : of each lane [m].
-    lean : how far a body may reach over a marking before it counts as in the next lane too [m].
-    waver : greatest lateral deviation of a body that keeps to the centre of its lane [m].
+    marking_tolerance : how far a body may reach over a marking before it counts as in the next lane too [m].
+    lateral_deviation : greatest lateral deviation of a body that keeps to the centre of its lane [m].
     dt : duration of a frame [s].
     """
 
     centers: FloatArray
     width: float
-    lean: float
-    waver: float
+    marking_tolerance: float
+    lateral_deviation: float
     dt: float
 
 
@@ -85,15 +85,18 @@ def touched_lanes(
         drift = v * sin * lanes.dt
         low, high = r - half + min(drift, 0.0), r + half + max(drift, 0.0)
         here = int(min(max(np.rint((r - centers[0]) / lanes.width), 0), count - 1))
-        side, core = 0.5 * lanes.width + lanes.lean, 0.5 * width + lanes.waver
+        side, core = 0.5 * lanes.width + lanes.marking_tolerance, 0.5 * width + lanes.lateral_deviation
         first, last = count, -1
         for j in range(count):
-            if high > centers[j] - side + 2 * lanes.lean and low < centers[j] + side - 2 * lanes.lean:
+            if (
+                high > centers[j] - side + 2 * lanes.marking_tolerance
+                and low < centers[j] + side - 2 * lanes.marking_tolerance
+            ):
                 first, last = min(first, j), max(last, j)
         lane[i], starts[i], ends[i] = here, first, last
         if first <= last:
             # Up to the marking; or, for a body near the centre of the lane or on its way there, up to its deviation
-            # `waver`.
+            # `lateral_deviation`.
             least, most = centers[first] - side, centers[last] + side
             if low >= centers[first] - core:
                 least = centers[first] - core
@@ -143,8 +146,8 @@ def update_turning_allowances(
         for k in range(recent.shape[1] - 1):
             within += before[i, k]
             recent[i, k + 1] = before[i, k]
-        if within > swing * motion.burst:
-            actions[i] = min(actions[i], swing * motion.burst - within)
+        if within > swing * motion.action_per_second:
+            actions[i] = min(actions[i], swing * motion.action_per_second - within)
 
 
 @kernel_inline
@@ -162,7 +165,7 @@ def apart(first: IntArray, last: IntArray, low: FloatArray, high: FloatArray, i:
     is slow to read them from a tuple in a loop."""
     if first[i] > last[i] or first[j] > last[j]:
         return low[j] >= high[i] or high[j] <= low[i]
-    # The bands `low` to `high` of neighbouring lanes overlap by `lean`.
+    # The bands `low` to `high` of neighbouring lanes overlap by `marking_tolerance`.
     return first[j] > last[i] or last[j] < first[i]
 
 
@@ -231,15 +234,15 @@ def rear_of(j: int, vehicles: VehicleBodies, stretch: FloatArray, motion: Motion
     v, wrecked = states[j, 3], others[j, _CRASHED] > 0
     least_speed, start, floor = min(v, 0.0 if wrecked else motion.min_speed), states[j, 0] - reach, bodies.floor[j]
     way, time, back, lost = 0.0, 0.0, 0.0, 0.0
-    burst, second, speed = 0.0, recent.shape[1], v
+    recent_action, second, speed = 0.0, recent.shape[1], v
     for k in range(frames):
         # What turning may take in the second that ends with this frame, and in the seconds after it.
         if k % second == 0:
-            burst += swing * motion.burst
+            recent_action += swing * motion.action_per_second
             for i in range(second - 1):
-                burst -= recent[j, i]
+                recent_action -= recent[j, i]
         else:
-            burst += recent[j, second - 1 - k % second]
+            recent_action += recent[j, second - 1 - k % second]
         slow = max(speed, least_speed)
         rate = _rate(brakes, j, k - hold, motion) if k >= hold else 0.0
         if wrecked:
@@ -251,9 +254,10 @@ def rear_of(j: int, vehicles: VehicleBodies, stretch: FloatArray, motion: Motion
         else:
             if slow >= motion.slow:
                 way, time = way + slow * dt, time + dt
-                # `_lost` written out: here the speed is at least `Motion.slow`, and `burst` bounds the action too.
+                # `_lost` written out: here the speed is at least `Motion.slow`, and `action_per_second` bounds the
+                # action too.
                 gone = max(budget, 0.0) + motion.loss_back * time
-                lost = min(gone, min(max(action, 0.0) + motion.action_back * time, max(burst, 0.0)) / slow)
+                lost = min(gone, min(max(action, 0.0) + motion.action_back * time, max(recent_action, 0.0)) / slow)
             else:
                 lost, back = _lost(budget, action, 0.0, time, motion), back + max(motion.reversing, -v) * dt
             along = max(way - lost, 0.0)
@@ -271,10 +275,10 @@ def least_next_position(j: int, states: FloatArray, stretch: FloatArray, motion:
     """Least s of the centre of vehicle `j` after one frame [m], by the bounds of `rear_of`."""
     v, floor, recent, along, back = states[j, 3], bodies.floor[j], bodies.recent, 0.0, 0.0
     if v >= motion.slow:
-        burst = bodies.swing[j] * motion.burst
+        recent_action = bodies.swing[j] * motion.action_per_second
         for i in range(recent.shape[1] - 1):
-            burst -= recent[j, i]
-        lost = min(_lost(bodies.budget[j], bodies.action[j], v, motion.dt, motion), max(burst, 0.0) / v)
+            recent_action -= recent[j, i]
+        lost = min(_lost(bodies.budget[j], bodies.action[j], v, motion.dt, motion), max(recent_action, 0.0) / v)
         along = max(v * motion.dt - lost, 0.0)
     else:
         back = max(motion.reversing, -v) * motion.dt

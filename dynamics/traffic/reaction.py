@@ -30,7 +30,7 @@ __all__ = ["LapPosition", "ReactionWork", "hardest_braking"]
 
 _CRASHED = int(Vehicle.CRASHED)
 _FAR = 600.0
-"""Distance ahead beyond which a vehicle requires no braking beyond `Motion.calm` [m]."""
+"""Distance ahead beyond which a vehicle requires no braking beyond `Motion.comfortable_braking` [m]."""
 _SCALE, _SLACK = 1.1, 0.5
 """How much harder than IDM a vehicle may brake: as a factor, and in addition [m/s^2]."""
 _MORE = 0.2
@@ -103,15 +103,16 @@ def _required_braking(d: float, fast: float, slow: float, motion: Motion) -> flo
 
 @kernel_inline
 def _requires_braking(d: float, fast: float, slow: float, motion: Motion) -> bool:
-    """Whether `_required_braking` exceeds `Motion.calm`. It divides only where rounding could change the answer."""
+    """Whether `_required_braking` exceeds `Motion.comfortable_braking`. It divides only where rounding could change
+    the answer."""
     if d > 1.0:
         wanted = GAP + TIME * fast + fast * max(fast - slow, 0.0) * _PER_TWICE_ROOT
-        square, limit = wanted * wanted, (motion.calm - _SLACK) * _PER_SCALE * (d * d)
+        square, limit = wanted * wanted, (motion.comfortable_braking - _SLACK) * _PER_SCALE * (d * d)
         if square < limit * (1 - _ROUNDING):
             return False
         if square > limit * (1 + _ROUNDING):
-            return motion.braking > motion.calm
-    return _required_braking(d, fast, slow, motion) > motion.calm
+            return motion.braking > motion.comfortable_braking
+    return _required_braking(d, fast, slow, motion) > motion.comfortable_braking
 
 
 @kernel_inline
@@ -261,7 +262,7 @@ def hardest_braking(
     lap, order, ways = place.lap, work.order, work.ways
     m, frames, last = states.shape[0], bodies.brakes.shape[1], bodies.brakes.shape[1] - 1
     curved, all_brakes, budget = stretch.shape[1] > 0, bodies.brakes, bodies.budget
-    if not motion.calm < motion.braking:
+    if not motion.comfortable_braking < motion.braking:
         for i in range(m):
             for k in range(frames):
                 all_brakes[i, k] = motion.braking
@@ -283,7 +284,7 @@ def hardest_braking(
                 brakes[k] = motion.braking
             continue
         for k in range(frames):
-            brakes[k] = motion.calm
+            brakes[k] = motion.comfortable_braking
         least, most, fast = x.slowest_way[last, i], gets[i], x.fast[last, i]
         # The nearest first: once the vehicle may brake at `Motion.braking` at an earlier frame, fewer frames of the
         # others count.
@@ -301,7 +302,7 @@ def hardest_braking(
             # The distance is concave in time, so it is least at the first or the last frame. The desired gap grows.
             near, k = ahead - max(budget[j], 0.0), end - 1
             d = near + x.slow_way[k, j] - x.fast_way[k, i] - back * k
-            if _surely_less(min(near, d), x.fast[k, i], x.slow[k, j], motion.calm):
+            if _surely_less(min(near, d), x.fast[k, i], x.slow[k, j], motion.comfortable_braking):
                 continue  # it requires nothing before frame `end`
             d = near + goes[j] - most - back * last
             if not _requires_braking(min(near, d), fast, slows[j], motion):

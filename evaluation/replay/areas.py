@@ -71,7 +71,7 @@ def _rectangles(made: DecisionData[Any], frames: int, column: BodyColumns) -> li
     scene, found = view.scene, []
     ego = scene.ego[: State.Y + 1]
     bodies = scene.bodies or [None] * len(scene.others)
-    rows = view.survey.around.occupancy(frames).rectangles()[-1]
+    rows = view.verifier.around.occupancy(frames).rectangles()[-1]
     for body, (s_min, s_max, r_min, r_max) in zip(bodies, rows, strict=True):
         if not (s_max > s_min and r_max > r_min):
             continue

@@ -71,7 +71,7 @@ def _stop(now: ObservedScene, lane: int, speed: float) -> tuple[FloatArray, floa
     """
     candidates = brake_candidates(now.scene, [lane], [speed], [lane], 1, now.config.braking)
     paths, result = now.judge(candidates)
-    return paths[0], float(result.margin[0]), now.survey.of_each(result), result.slipping[0]
+    return paths[0], float(result.margin[0]), now.verifier.of_each(result), result.cutting_in[0]
 
 
 def extents(states: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -112,7 +112,7 @@ def tube() -> ReachableTube:
     scene = _scene((0.0, 5.3, -0.06, 25.0), (18.0, 4.0, 0.0, 20.0), lanes=3, lane=1)
     now = observe(Memory(), scene, CONFIG)
     path, margin, *_ = _stop(now, 1, 30.0)
-    occupancy = now.survey.around.occupancy(len(path))
+    occupancy = now.verifier.around.occupancy(len(path))
     return ReachableTube(scene, path, occupancy, path[:, RoadState.S] + extents(path)[0], margin)
 
 
@@ -178,19 +178,19 @@ class ObligationScene:
     scene : the scene.
     goal : the lane that the ego enters.
     path : road states of the ego after frames 1..K, (K, 4).
-    owes : obligation of each vehicle, (m,).
+    obligations : obligation of each vehicle, (m,).
     separations : separation of the plan from each vehicle, (m,) [m]; +inf for one that must keep its distance.
     margin : margin of the plan [m].
-    survey : the surveyor that computed these values.
+    verifier : the surveyor that computed these values.
     """
 
     scene: Scene
     goal: int
     path: FloatArray
-    owes: tuple[Obligation, ...]
+    obligations: tuple[Obligation, ...]
     separations: FloatArray
     margin: float
-    survey: PathVerifier
+    verifier: PathVerifier
 
 
 def obligation_scene() -> ObligationScene:
@@ -204,17 +204,17 @@ def obligation_scene() -> ObligationScene:
     goal = 2
     now = observe(Memory(), scene, CONFIG)
     path, margin, separations, _ = _stop(now, goal, 25.0)
-    seen, center = now.survey.others, scene.road.centers[goal]
+    seen, center = now.verifier.others, scene.road.centers[goal]
     there = (seen.low < center) & (seen.high > center)
-    owes = []
+    obligations = []
     for j in range(len(others)):
-        if seen.behind[j] and seen.held[j]:
-            owes.append(Obligation.DISTANCE)
+        if seen.behind[j] and seen.in_owned_lane[j]:
+            obligations.append(Obligation.DISTANCE)
         elif seen.behind[j] and there[j]:
-            owes.append(Obligation.NOT_YET)
+            obligations.append(Obligation.NOT_YET)
         else:
-            owes.append(Obligation.ENTERS if seen.comes[goal, j] else Obligation.NOTHING)
-    return ObligationScene(scene, goal, path, tuple(owes), separations, margin, now.survey)
+            obligations.append(Obligation.ENTERS if seen.comes[goal, j] else Obligation.NOTHING)
+    return ObligationScene(scene, goal, path, tuple(obligations), separations, margin, now.verifier)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -294,11 +294,11 @@ class _RecordingInputs(InputPipeline):
         inputs: FloatArray,
         stops: list[int],
         parts: bool = False,
-        survey: PathVerifier | None = None,
+        verifier: PathVerifier | None = None,
     ) -> JudgedInputs:
         """Record the inputs, and verify them."""
         (self.linearised if parts else self.strewn).append(inputs)
-        return super().judge(now, inputs, stops, parts, survey)
+        return super().judge(now, inputs, stops, parts, verifier)
 
 
 def input_search(points: tuple[int, int] = (201, 301)) -> InputSearch:

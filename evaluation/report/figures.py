@@ -35,11 +35,11 @@ def _hex(color: tuple[int, int, int]) -> str:
 
 
 _EGO, _OTHERS, _ANSWER, _FAILS = _hex(GREEN), _hex(AREA), _hex(ORANGE), _hex(RED)
-_OWES, _INK, _PALE, _ROAD = "#2b7bba", "#1e2228", "#6e747d", "#eeeeec"
+_DISTANCE_COLOR, _INK, _PALE, _ROAD = "#2b7bba", "#1e2228", "#6e747d", "#eeeeec"
 
 
 _OBLIGATIONS = {
-    Obligation.DISTANCE: _OWES,
+    Obligation.DISTANCE: _DISTANCE_COLOR,
     Obligation.NOT_YET: "#a0522d",
     Obligation.ENTERS: _ANSWER,
     Obligation.NOTHING: _OTHERS,
@@ -163,7 +163,7 @@ def _occupancy() -> Figure:
     found, a = scenes.bounds(), CONFIG.assumptions
     figure, ((left, right),) = _figure(3.6, [1.0], [1.0, 1.0])
     for rear, front in (found.moving, found.queueing):
-        color = _OTHERS if rear is found.moving[0] else _OWES
+        color = _OTHERS if rear is found.moving[0] else _DISTANCE_COLOR
         left.fill_between(found.time, rear, front, color=color, alpha=0.22, lw=0)
         left.plot(found.time, rear, color=color, lw=1.5)
         left.plot(found.time, front, color=color, lw=1.5)
@@ -172,7 +172,7 @@ def _occupancy() -> Figure:
         (f"one at {found.speeds[0]:g} m/s,\nnobody ahead", (1.05, 66.0), _OTHERS),
         (f"gains {a.acceleration:g} m/s²,\nless when fast", (2.35, 47.0), _INK),
         (f"brakes at {a.comfortable_braking:g} m/s²,\nharder after 3 s", (3.35, 34.0), _INK),
-        (f"one at {found.speeds[1]:g} m/s, behind\none that stands", (3.0, 13.0), _OWES),
+        (f"one at {found.speeds[1]:g} m/s, behind\none that stands", (3.0, 13.0), _DISTANCE_COLOR),
         ("rear of the one that stands", (2.75, 4.0), _INK),
         ("may reverse from there", (2.75, -11.5), _INK),
     ):
@@ -203,19 +203,27 @@ def _obligations() -> Figure:
     _buffered(axes, found.path[-1], fill=False, ec=_EGO, lw=1.2, zorder=2)
     _buffered(axes, found.scene.ego_road, fill=False, ec=_EGO, lw=1.2, zorder=2)
     _body(axes, found.scene.ego_road, _EGO, "ego")
-    for state, duty, separation in zip(found.scene.others_road, found.owes, found.separations, strict=True):
-        _body(axes, state, _OBLIGATIONS[duty])
+    for state, obligation, separation in zip(
+        found.scene.others_road, found.obligations, found.separations, strict=True
+    ):
+        _body(axes, state, _OBLIGATIONS[obligation])
         text = "out of reach" if np.isposinf(separation) else f"{separation:.1f} m"
-        text = "does not count" if duty is Obligation.DISTANCE else text
-        side = -1 if duty is Obligation.ENTERS else 1
+        text = "does not count" if obligation is Obligation.DISTANCE else text
+        side = -1 if obligation is Obligation.ENTERS else 1
         aligned = {"ha": "right" if side < 0 else "left", "va": "center"}
         axes.text(state[0] + side * 3.3, state[1], text, fontsize=8, zorder=4, **aligned)
-        if duty is Obligation.ENTERS:
-            arrow = {"arrowstyle": "->", "color": _OBLIGATIONS[duty], "lw": 1.6, "connectionstyle": "arc3,rad=0.25"}
+        if obligation is Obligation.ENTERS:
+            arrow = {
+                "arrowstyle": "->",
+                "color": _OBLIGATIONS[obligation],
+                "lw": 1.6,
+                "connectionstyle": "arc3,rad=0.25",
+            }
             axes.annotate("", (state[0] + 11.0, center), (state[0] + 2.5, state[1]), arrowprops=arrow, zorder=2)
     axes.set_xlabel("along the road [m]", fontsize=8)
     patches = [
-        Rectangle((0, 0), 1, 1, fc=color, ec=_INK, lw=0.7, label=duty.value) for duty, color in _OBLIGATIONS.items()
+        Rectangle((0, 0), 1, 1, fc=color, ec=_INK, lw=0.7, label=obligation.value)
+        for obligation, color in _OBLIGATIONS.items()
     ]
     figure.legend(handles=patches, loc="outside lower center", ncols=2, fontsize=8, frameon=False)
     return figure

@@ -148,8 +148,10 @@ class CategoricalCEM:
         bad = ~np.isfinite(best_cost)
         action = best[:, 0, 0].astype(np.int64)
         if bad.any():
-            asked = np.zeros(e, np.int64) if self.fallback is None else np.asarray(self.fallback(states), np.int64)
-            action[bad] = np.clip(asked, 0, self.actions - 1)[bad]
+            fallback_action = (
+                np.zeros(e, np.int64) if self.fallback is None else np.asarray(self.fallback(states), np.int64)
+            )
+            action[bad] = np.clip(fallback_action, 0, self.actions - 1)[bad]
             best[bad] = action[bad, None, None]
         usual = PlanStatus.TIME_LIMIT if limited else PlanStatus.PLANNED
         plan = SampledPlan(

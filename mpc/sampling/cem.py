@@ -186,9 +186,9 @@ class SamplingPlanner:
         inputs = np.where(bad[:, None, None], np.float32(0), search.inputs)
         action = inputs[:, 0].copy()
         if bad.any():
-            asked = np.zeros_like(action) if self.fallback is None else np.asarray(self.fallback(states))
-            asked = np.where(np.isfinite(asked), asked, 0.0)
-            action[bad] = np.clip(asked, self.low, self.high)[bad]
+            fallback_action = np.zeros_like(action) if self.fallback is None else np.asarray(self.fallback(states))
+            fallback_action = np.where(np.isfinite(fallback_action), fallback_action, 0.0)
+            action[bad] = np.clip(fallback_action, self.low, self.high)[bad]
             inputs[bad] = action[bad][:, None]
         usual = PlanStatus.TIME_LIMIT if search.limited else PlanStatus.PLANNED
         return SampledPlan(

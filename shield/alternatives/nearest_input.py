@@ -110,7 +110,7 @@ class JudgedInputs:
         return JudgedInputs(*rows, bind=lambda _: bind(i))
 
 
-Judge = Callable[[FloatArray, list[int], bool], JudgedInputs]
+Evaluate = Callable[[FloatArray, list[int], bool], JudgedInputs]
 """Judges inputs (n, 2), each for a stop in the first of some lanes for which it verifies; the flag requests the parts
 of the margin."""
 
@@ -126,26 +126,26 @@ class NearestInputSearch:
     """
 
     def __init__(
-        self, judge: Judge, proposal: FloatArray, spans: FloatArray, least: FloatArray, most: FloatArray
+        self, judge: Evaluate, proposal: FloatArray, spans: FloatArray, least: FloatArray, most: FloatArray
     ) -> None:
         self._judge, self._proposal, self._least, self._most = judge, proposal, least, most
         self._spans = np.where(spans > 0, spans, 1.0)
         self._low, self._high = (least - proposal) / self._spans, (most - proposal) / self._spans
 
-    def run(self, lanes: list[int], law: FloatArray, every: list[int] | None = None) -> JudgedInputs:
+    def run(self, lanes: list[int], fail_safe_inputs: FloatArray, every: list[int] | None = None) -> JudgedInputs:
         """The nearest verified input that was found; if none verifies, the least bad one.
 
         Parameters
         ----------
         lanes : lanes to stop in, in order of preference.
-        law : inputs of braking in the first of them, (2,).
+        fail_safe_inputs : inputs of braking in the first of them, (2,).
         every : all lanes that a sweep may stop in; `lanes` by default.
         """
         best: JudgedInputs | None = None
         for lane in lanes:
             best = self._linearise(lane, best)
         if best is None:
-            best = self._scan(lanes, law)
+            best = self._scan(lanes, fail_safe_inputs)
             if not best.margin[0] >= 0:
                 return best
         for _ in range(_SWEEPS):
@@ -189,8 +189,8 @@ class NearestInputSearch:
         proposal at which the linearised parts of the margin are satisfied, or None."""
         n = len(points)
         step = np.where(points + _STEP > self._high, -_STEP, _STEP)
-        trial = np.concatenate([points, points + step * [1.0, 0.0], points + step * [0.0, 1.0]])
-        judged = self._judge(self._proposal + self._spans * trial, [lane], True)
+        perturbed = np.concatenate([points, points + step * [1.0, 0.0], points + step * [0.0, 1.0]])
+        judged = self._judge(self._proposal + self._spans * perturbed, [lane], True)
         assert judged.parts is not None
         each, goals = judged.parts.reshape(3, n, -1), []
         for k in range(n):
@@ -230,9 +230,9 @@ class NearestInputSearch:
             z = goal
         return best
 
-    def _scan(self, lanes: list[int], law: FloatArray) -> JudgedInputs:
+    def _scan(self, lanes: list[int], fail_safe_inputs: FloatArray) -> JudgedInputs:
         """The best of a fan of inputs and of rings around the proposal."""
-        judged = self._judge(self._box(self._proposal + _FAN * (law - self._proposal)), lanes, False)
+        judged = self._judge(self._box(self._proposal + _FAN * (fail_safe_inputs - self._proposal)), lanes, False)
         if not (judged.margin >= 0).any():
             return judged.row(least_bad(Clearance(judged.margin, judged.clear)))
         best = judged.row(self._nearest(judged))

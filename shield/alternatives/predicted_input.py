@@ -52,13 +52,13 @@ class Predictor:
         """
         solver = self._filter_for(now.scene)
         settings, scene = solver.settings, now.scene
-        survey, road, dt = now.survey, scene.road, scene.dt
+        verifier, road, dt = now.verifier, scene.road, scene.dt
         here, v = now.here, max(float(scene.ego[State.SPEED]), 0.0)
-        half = survey.size.along + survey.size.growth_along, survey.size.across + survey.size.growth_across
+        half = verifier.size.along + verifier.size.growth_along, verifier.size.across + verifier.size.growth_across
         low, high = edges_of(road, [here, lane], float(scene.ego_road[RoadState.R]), half[1])
-        owned, duration = survey.owned[here] and survey.owned[lane], settings.ends[-1] * dt
-        rows = survey.relevant((v + 2.0) * duration, followers=not owned)
-        around = survey.around
+        owned, duration = verifier.owned[here] and verifier.owned[lane], settings.ends[-1] * dt
+        rows = verifier.relevant((v + 2.0) * duration, followers=not owned)
+        around = verifier.around
         # Beyond its edges the plan meets no vehicle, and need not stay behind any there either.
         rows = rows[(around.low[rows] < high) & (around.high[rows] > low)]
         rows = rows[np.argsort(np.abs(scene.others_road[rows, RoadState.S] - scene.ego_road[RoadState.S]))][:_NEAREST]

@@ -26,10 +26,10 @@ GAIN = 5.0
 
 def lane_progress(scene: Scene, lane: int) -> float:
     """Progress that a lane offers: distance to the first vehicle ahead plus 3 s of its relative speed [m]."""
-    return _room(scene, lane)[0]
+    return _gap_ahead(scene, lane)[0]
 
 
-def _room(scene: Scene, lane: int) -> tuple[float, float]:
+def _gap_ahead(scene: Scene, lane: int) -> tuple[float, float]:
     """Progress of a lane, and its uncertainty [m]: with a noisy sensor, the extents of a body are upper bounds."""
     states, ego = scene.others_road, scene.ego_road
     ahead = (np.abs(states[:, RoadState.R] - scene.road.centers[lane]) < IN_LANE * scene.road.width) & (
@@ -37,9 +37,9 @@ def _room(scene: Scene, lane: int) -> tuple[float, float]:
     )
     if not ahead.any():
         return CLEAR, 0.0
-    room = states[ahead, RoadState.S] - ego[RoadState.S]
-    j = int(room.argmin())
-    progress = float(room[j] + RELATIVE_SPEED_WEIGHT * (states[ahead, RoadState.SPEED][j] - ego[RoadState.SPEED]))
+    gaps = states[ahead, RoadState.S] - ego[RoadState.S]
+    j = int(gaps.argmin())
+    progress = float(gaps[j] + RELATIVE_SPEED_WEIGHT * (states[ahead, RoadState.SPEED][j] - ego[RoadState.SPEED]))
     if not scene.blurred:
         return progress, 0.0
     return progress, max(0.0, float(scene.others[ahead, Vehicle.LENGTH][j] - scene.ego[Vehicle.LENGTH]) / 2)
@@ -56,7 +56,7 @@ def default_order(scene: Scene, proposed: int, targets: list[Target]) -> list[in
     unless it offers less progress by that uncertainty.
     """
     labels = scene.control.actions
-    here, doubt = _room(scene, scene.road.lane_at(float(scene.ego_road[RoadState.R])))
+    here, doubt = _gap_ahead(scene, scene.road.lane_at(float(scene.ego_road[RoadState.R])))
     moves: list[tuple[float, int]] = []
     rest: list[tuple[float, int]] = []
     for a, label in enumerate(labels):
@@ -64,7 +64,7 @@ def default_order(scene: Scene, proposed: int, targets: list[Target]) -> list[in
             continue
         if targets[a].lane == scene.control.target.lane:
             continue
-        progress, unsure = _room(scene, targets[a].lane)
+        progress, unsure = _gap_ahead(scene, targets[a].lane)
         gain, within = progress - here, max(doubt, unsure)
         if scene.blurred and label == "LANE_RIGHT" and gain > -within:
             gain, within = CLEAR, 0.0

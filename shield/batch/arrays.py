@@ -60,9 +60,9 @@ class BatchMemory(NamedTuple):
     ego, state : vehicle row (e, 7) and road state (e, 4). rows, states : of the others, (e, 2, m, 7), (e, 2, m, 4).
     marks, numbers, brakes, recent : of their `Tables`, (e, 2, ...).
     of_others, flags : of `RoadVehicles`, (e, 5, m) and (e, 2, 2 + 2 lanes, m).
-    slipping, slips : vehicles that may cut in, (e, 2 m, 4), and their number, (e,).
+    cutting_in, cut_ins : vehicles that may cut in, (e, 2 m, 4), and their number, (e,).
     visible, owned : state of the lanes, see `update_lanes`, (e, lanes).
-    owing, breaking, offenders : see `RoadMonitor`, (e, m). crashed : whether the ego had crashed, (e,).
+    obliged, breaking, offenders : see `RoadMonitor`, (e, m). crashed : whether the ego had crashed, (e,).
     offences, by_rule : number of violations, (e,), and by rule, (e, rules).
     """
 
@@ -80,11 +80,11 @@ class BatchMemory(NamedTuple):
     recent: FloatArray
     of_others: FloatArray
     flags: BoolArray
-    slipping: FloatArray
-    slips: IntArray
+    cutting_in: FloatArray
+    cut_ins: IntArray
     visible: IntArray
     owned: BoolArray
-    owing: BoolArray
+    obliged: BoolArray
     breaking: BoolArray
     offenders: BoolArray
     crashed: BoolArray
@@ -122,13 +122,13 @@ class BatchWorkspace(NamedTuple):
 
     Attributes
     ----------
-    desk : workspace of the clauses. path : (K, 4). plans : candidates.
+    clause_workspace : workspace of the clauses. path : (K, 4). plans : candidates.
     ways, order : buffers of `dynamics.traffic.occupancy.derive_tables`, see `buffer_shape`.
     flags, tempted, marks, numbers, nobody, grid : buffers for masks, lanes, actions and accelerations.
     suspect : vehicle that the last candidate of this scene failed for, and the frame, (2,).
     """
 
-    desk: ClauseWorkspace
+    clause_workspace: ClauseWorkspace
     path: FloatArray
     plans: BatchCandidates
     ways: FloatArray
@@ -174,37 +174,37 @@ class BatchPointers(NamedTuple):
     """Pointers to everything that a decision reads and writes: the arrays of all environments, and of one thread."""
 
     shields: Pointer[BatchMemory]
-    law: Pointer[BatchParameters]
+    parameters: Pointer[BatchParameters]
     worlds: Pointer[Worlds]
-    room: Pointer[BatchWorkspace]
+    workspace: Pointer[BatchWorkspace]
     records: Pointer[BatchRecords]
 
 
 @kernel_inline
-def scene_of(shields: BatchMemory, law: BatchParameters, e: int) -> ClauseScene:
+def scene_of(shields: BatchMemory, parameters: BatchParameters, e: int) -> ClauseScene:
     """The last observed scene of one environment."""
     now = shields.now[e]
     marks, numbers, brakes = shields.marks[e, now], shields.numbers[e, now], shields.brakes[e, now]
     bodies = bodies_of(marks, numbers, brakes, shields.recent[e, now])
     others: RoadVehicles = vehicles_from(bodies, shields.of_others[e], shields.flags[e, now])
     rows, states = shields.rows[e, now], shields.states[e, now]
-    around = SceneVehicles(rows, states, law.stretch, bodies, motion_of(law.motion), others)
-    ground = LaneState(law.centers, shields.owned[e], shields.visible[e])
-    slipping = shields.slipping[e, : shields.slips[e]]
-    foot, settings = Footprint(*row_as_tuple(law.size, 8)), settings_from(law.settings)
-    return ClauseScene(shields.state[e], around, ground, slipping, foot, settings, law.table)
+    around = SceneVehicles(rows, states, parameters.stretch, bodies, motion_of(parameters.motion), others)
+    ground = LaneState(parameters.centers, shields.owned[e], shields.visible[e])
+    cutting_in = shields.cutting_in[e, : shields.cut_ins[e]]
+    foot, settings = Footprint(*row_as_tuple(parameters.size, 8)), settings_from(parameters.settings)
+    return ClauseScene(shields.state[e], around, ground, cutting_in, foot, settings, parameters.table)
 
 
 @kernel_inline
 def without_precautions(scene: ClauseScene) -> ClauseScene:
     """The same without precautions, see `shield.certificate.road.verify.PathVerifier.without_cut_ins`."""
-    none = scene.slipping[:0]
+    none = scene.cutting_in[:0]
     return ClauseScene(scene.state, scene.around, scene.ground, none, scene.foot, scene.settings, scene.table)
 
 
-def empty_memory(e: int, m: int, law: BatchParameters) -> BatchMemory:
+def empty_memory(e: int, m: int, parameters: BatchParameters) -> BatchMemory:
     """Memory of e environments before their first scene."""
-    lanes, (coming, past) = len(law.centers), horizons(law.numbers.dt)
+    lanes, (coming, past) = len(parameters.centers), horizons(parameters.numbers.dt)
     index, number, flag = np.intp, np.float64, np.bool_
 
     def new(kind: Any, *shape: int) -> Any:
@@ -225,11 +225,11 @@ def empty_memory(e: int, m: int, law: BatchParameters) -> BatchMemory:
         recent=new(number, 2, m, past),
         of_others=new(number, 5, m),
         flags=new(flag, 2, 2 + 2 * lanes, m),
-        slipping=new(number, 2 * m, 4),
-        slips=new(index),
+        cutting_in=new(number, 2 * m, 4),
+        cut_ins=new(index),
         visible=new(index, lanes),
         owned=new(flag, lanes),
-        owing=new(flag, m),
+        obliged=new(flag, m),
         breaking=new(flag, m),
         offenders=new(flag, m),
         crashed=new(flag),
@@ -238,10 +238,10 @@ def empty_memory(e: int, m: int, law: BatchParameters) -> BatchMemory:
     )
 
 
-def new_batch_workspace(m: int, law: BatchParameters, candidates: int) -> BatchWorkspace:
+def new_batch_workspace(m: int, parameters: BatchParameters, candidates: int) -> BatchWorkspace:
     """Workspace of one thread, for m other bodies and at most `candidates` candidates at a time."""
-    numbers, lanes = law.numbers, len(law.centers)
-    fastest = max(MAX_SPEED, float(law.target_speeds.max(initial=0.0))) + 10.0
+    numbers, lanes = parameters.numbers, len(parameters.centers)
+    fastest = max(MAX_SPEED, float(parameters.target_speeds.max(initial=0.0))) + 10.0
     frames = numbers.period + math.ceil(fastest / (numbers.braking * numbers.dt)) + 2
     coming, _ = horizons(numbers.dt)
     n, index = candidates, np.intp
@@ -259,15 +259,15 @@ def new_batch_workspace(m: int, law: BatchParameters, candidates: int) -> BatchW
         vehicles=np.zeros(n, index),
     )
     return BatchWorkspace(
-        desk=new_clause_workspace(m, frames, numbers.dt),
+        clause_workspace=new_clause_workspace(m, frames, numbers.dt),
         path=np.zeros((frames, 4)),
         plans=plans,
         ways=np.zeros(buffer_shape(m, coming)),
         order=np.zeros(m, index),
         flags=np.zeros((2, m), np.bool_),
         tempted=np.zeros((m, 4), np.bool_),
-        marks=np.zeros((6, max(lanes, len(law.labels), m)), index),
-        numbers=np.zeros((2, max(len(law.labels), 1))),
+        marks=np.zeros((6, max(lanes, len(parameters.labels), m)), index),
+        numbers=np.zeros((2, max(len(parameters.labels), 1))),
         nobody=np.zeros(0, np.bool_),
         grid=np.zeros((3, candidates)),
         suspect=np.full(2, NO_INDEX),

@@ -17,7 +17,7 @@ from shield.batch.codes import REASONS, TIERS
 from shield.batch.observing import observe
 from shield.batch.parameters import NO_INDEX, BatchParameters
 from shield.batch.repairing import fail_lanes, held_back, hold_back
-from shield.batch.supervising import clear_violators, judge_stored, violated
+from shield.batch.supervising import clear_violators, stored_margin, violated
 from shield.batch.verifying import frames_of, verify
 from shield.certificate.road.clauses.all_clauses import NOTHING_BINDS
 from shield.certificate.road.clauses.workspace import ClauseScene
@@ -38,37 +38,37 @@ _BAD_SCENE, _BAD_ACTION = REASONS.index(Reason.BAD_SCENE), REASONS.index(Reason.
 
 
 @kernel_inline
-def target_of(worlds: Worlds, law: BatchParameters, e: int, action: int) -> tuple[int, float]:
+def target_of(worlds: Worlds, parameters: BatchParameters, e: int, action: int) -> tuple[int, float]:
     """Lane and speed that the ego's controllers track after an action; see `BatchScene.target_of`."""
-    label, lane, speed = law.labels[action], worlds.g[e, TARGET, 0], worlds.f[e, TARGET_SPEED, 0]
+    label, lane, speed = parameters.labels[action], worlds.g[e, TARGET, 0], worlds.f[e, TARGET_SPEED, 0]
     if label >= _FASTER:
-        return lane, next_target_speed(law.target_speeds, worlds.f[e, SPEED, 0], label)
+        return lane, next_target_speed(parameters.target_speeds, worlds.f[e, SPEED, 0], label)
     if label in (_LEFT, _RIGHT):
-        to = min(max(lane + label - 1, 0), law.centers.shape[0] - 1)
+        to = min(max(lane + label - 1, 0), parameters.centers.shape[0] - 1)
         s, r = worlds.f[e, X, 0], worlds.f[e, Y, 0]
-        near = abs(r - law.centers[to]) <= 2 * law.numbers.width
-        return (to if near and 0.0 <= s < law.numbers.length + 5.0 else lane), speed
+        near = abs(r - parameters.centers[to]) <= 2 * parameters.numbers.width
+        return (to if near and 0.0 <= s < parameters.numbers.length + 5.0 else lane), speed
     return lane, speed
 
 
 @kernel_inline
-def _rule_scene(shields: BatchMemory, law: BatchParameters, e: int) -> RuleScene:
+def _rule_scene(shields: BatchMemory, parameters: BatchParameters, e: int) -> RuleScene:
     """The last observed scene of one environment, as the rules read it."""
     now = shields.now[e]
     rows, states = shields.rows[e, now], shields.states[e, now]
-    return RuleScene(shields.ego[e], shields.state[e], rows, states, law.centers, law.numbers.width)
+    return RuleScene(shields.ego[e], shields.state[e], rows, states, parameters.centers, parameters.numbers.width)
 
 
 @kernel_inline
-def is_blocked_alongside(shields: BatchMemory, law: BatchParameters, e: int, lane: int) -> bool:
+def is_blocked_alongside(shields: BatchMemory, parameters: BatchParameters, e: int, lane: int) -> bool:
     """Whether a vehicle alongside forbids that lane."""
-    return alongside(_rule_scene(shields, law, e), lane, law.numbers.longitudinal)
+    return alongside(_rule_scene(shields, parameters, e), lane, parameters.numbers.longitudinal)
 
 
 @kernel_inline
-def _why(shields: BatchMemory, law: BatchParameters, e: int, lane: int, speed: float) -> int:
+def _why(shields: BatchMemory, parameters: BatchParameters, e: int, lane: int, speed: float) -> int:
     """Recorded reason for a target that did not verify."""
-    scene, x = _rule_scene(shields, law, e), law.numbers
+    scene, x = _rule_scene(shields, parameters, e), parameters.numbers
     braking = (x.braking, x.leader_braking, x.follower_braking)
     response, more = (x.response, x.reaction), x.follower_acceleration
     if violates_rss(scene, lane, speed, braking, response, more):
@@ -79,37 +79,37 @@ def _why(shields: BatchMemory, law: BatchParameters, e: int, lane: int, speed: f
 
 
 @kernel_inline
-def _progress(shields: BatchMemory, law: BatchParameters, e: int, lane: int) -> float:
+def _progress(shields: BatchMemory, parameters: BatchParameters, e: int, lane: int) -> float:
     """See `shield.alternatives.preference.lane_progress`."""
-    states, state, room, faster = shields.states[e, shields.now[e]], shields.state[e], math.inf, 0.0
+    states, state, gap, faster = shields.states[e, shields.now[e]], shields.state[e], math.inf, 0.0
     for i in range(states.shape[0]):
         ahead = states[i, 0] - state[0]
-        beside = abs(states[i, 1] - law.centers[lane]) < IN_LANE * law.numbers.width
-        if beside and states[i, 0] > state[0] and ahead < room:
-            room, faster = ahead, states[i, 3] - state[3]
-    return CLEAR if room == math.inf else room + RELATIVE_SPEED_WEIGHT * faster
+        beside = abs(states[i, 1] - parameters.centers[lane]) < IN_LANE * parameters.numbers.width
+        if beside and states[i, 0] > state[0] and ahead < gap:
+            gap, faster = ahead, states[i, 3] - state[3]
+    return CLEAR if gap == math.inf else gap + RELATIVE_SPEED_WEIGHT * faster
 
 
 @kernel_inline
 def _default_order(
     shields: BatchMemory,
-    law: BatchParameters,
+    parameters: BatchParameters,
     worlds: Worlds,
     e: int,
     proposed: int,
-    room: BatchWorkspace,
+    workspace: BatchWorkspace,
     out: IntArray,
 ) -> int:
     """Fill in `shield.alternatives.preference.default_order`. Return the number of actions."""
-    labels, numbers, targets = law.labels, law.numbers, room.marks[5]
-    here = _progress(shields, law, e, nearest(law.centers, shields.state[e, 1]))
-    gains, count = room.numbers[1], 0
+    labels, numbers, targets = parameters.labels, parameters.numbers, workspace.marks[5]
+    here = _progress(shields, parameters, e, nearest(parameters.centers, shields.state[e, 1]))
+    gains, count = workspace.numbers[1], 0
     for better in (True, False):
         first = count
         for a in range(labels.shape[0]):
             if a == proposed or labels[a] not in (_LEFT, _RIGHT) or targets[a] == worlds.g[e, TARGET, 0]:
                 continue
-            gain = _progress(shields, law, e, targets[a]) - here
+            gain = _progress(shields, parameters, e, targets[a]) - here
             if (gain > GAIN) != better:
                 continue
             place = count
@@ -128,7 +128,7 @@ def _default_order(
 
 @kernel_no_refcount
 def verifies(
-    bench: BatchPointers,
+    pointers: BatchPointers,
     scene: Pointer[ClauseScene],
     e: int,
     target: tuple[int, float],
@@ -141,16 +141,21 @@ def verifies(
 
     With `lasting` frames, a target is refused if it is expected to need an acceleration cap within the decision.
     """
-    law, room, lane, speed = dereference(bench.law), dereference(bench.room), target[0], target[1]
-    plans, fails, x = room.plans, room.marks[2], law.numbers
-    n = fail_lanes(dereference(bench.shields), law, e, lane, fails)
+    parameters, workspace, lane, speed = (
+        dereference(pointers.parameters),
+        dereference(pointers.workspace),
+        target[0],
+        target[1],
+    )
+    plans, fails, x = workspace.plans, workspace.marks[2], parameters.numbers
+    n = fail_lanes(dereference(pointers.shields), parameters, e, lane, fails)
     for i in range(n):
         plans.lanes[0], plans.fails[0], plans.speeds[0] = lane, fails[i], speed
-        if verify(bench, scene, x.one, (x.one, frames), x.none, room.nobody, x.one) == NO_INDEX:
+        if verify(pointers, scene, x.one, (x.one, frames), x.none, workspace.nobody, x.one) == NO_INDEX:
             continue
         found[0], found[1], found[2], found[3] = plans.margins[0], fails[i], plans.clauses[0], plans.vehicles[0]
         if lasting > 0:
-            if verify(bench, scene, x.one, (x.period, lasting), x.period, room.nobody, x.one) == NO_INDEX:
+            if verify(pointers, scene, x.one, (x.period, lasting), x.period, workspace.nobody, x.one) == NO_INDEX:
                 continue
             if plans.margins[0] < found[0]:
                 found[0], found[2], found[3] = plans.margins[0], plans.clauses[0], plans.vehicles[0]
@@ -159,14 +164,14 @@ def verifies(
 
 
 @kernel_no_refcount
-def _speeds(law: BatchParameters, v: float, label: int, speed: float, room: BatchWorkspace) -> int:
+def _speeds(parameters: BatchParameters, v: float, label: int, speed: float, workspace: BatchWorkspace) -> int:
     """Speeds at which a target is tried, ascending, in `room.grid[1]`. For a lane change these include the capped
     speeds. Return their number."""
-    out, n = room.grid[1], 1
+    out, n = workspace.grid[1], 1
     out[0] = speed
     if label in (_LEFT, _RIGHT):
         for cap in CAPS:
-            one, place = held_back(law, v, speed, cap, room), 0
+            one, place = held_back(parameters, v, speed, cap, workspace), 0
             while place < n and out[place] < one:
                 place += 1
             if place < n and out[place] == one:
@@ -180,7 +185,7 @@ def _speeds(law: BatchParameters, v: float, label: int, speed: float, room: Batc
 
 @kernel_no_refcount
 def _first_action(
-    bench: BatchPointers,
+    pointers: BatchPointers,
     scene: Pointer[ClauseScene],
     e: int,
     actions: IntArray,
@@ -189,27 +194,31 @@ def _first_action(
     found: FloatArray,
 ) -> int:
     """The first action that verifies, at the speed with the largest margin; otherwise -1. `found` as in `verifies`."""
-    shields, law, room = dereference(bench.shields), dereference(bench.law), dereference(bench.room)
-    v, most, tried, wanted = shields.ego[e, 3], -math.inf, room.grid[1], room.numbers[0]
+    shields, parameters, workspace = (
+        dereference(pointers.shields),
+        dereference(pointers.parameters),
+        dereference(pointers.workspace),
+    )
+    v, most, tried, wanted = shields.ego[e, 3], -math.inf, workspace.grid[1], workspace.numbers[0]
     for k in range(count):
         a = actions[k]
-        if is_blocked_alongside(shields, law, e, room.marks[5, a]):
+        if is_blocked_alongside(shields, parameters, e, workspace.marks[5, a]):
             continue
-        n = _speeds(law, v, law.labels[a], wanted[a], room)
+        n = _speeds(parameters, v, parameters.labels[a], wanted[a], workspace)
         most = max(most, tried[n - 1])
     if most == -math.inf:
         return NO_INDEX
-    frames = frames_of(law, v, most, law.numbers.one)
-    lasting = frames_of(law, v, most, law.numbers.period) if forecast > 0 else 0
-    one = room.grid[2, :4]
+    frames = frames_of(parameters, v, most, parameters.numbers.one)
+    lasting = frames_of(parameters, v, most, parameters.numbers.period) if forecast > 0 else 0
+    one = workspace.grid[2, :4]
     for k in range(count):
         a = actions[k]
-        lane, best = room.marks[5, a], False
-        if is_blocked_alongside(shields, law, e, lane):
+        lane, best = workspace.marks[5, a], False
+        if is_blocked_alongside(shields, parameters, e, lane):
             continue
-        n = _speeds(law, v, law.labels[a], wanted[a], room)
+        n = _speeds(parameters, v, parameters.labels[a], wanted[a], workspace)
         for i in range(n):
-            works = verifies(bench, scene, e, (lane, tried[i]), frames, lasting, one)
+            works = verifies(pointers, scene, e, (lane, tried[i]), frames, lasting, one)
             if works and (not best or one[0] > found[0]):
                 best = True
                 for c in range(4):
@@ -231,38 +240,42 @@ def _keep(
 
 
 @kernel_inline
-def _only_refused(bench: BatchPointers, e: int) -> bool:
+def _only_refused(pointers: BatchPointers, e: int) -> bool:
     """Whether only a precaution refuses all plans: the stored plan still verifies, and there is no violator."""
-    shields = dereference(bench.shields)
+    shields = dereference(pointers.shields)
     if shields.stored[e] == NO_INDEX or violated(shields, e):
         return False
-    return judge_stored(bench, e) >= -ROUNDING
+    return stored_margin(pointers, e) >= -ROUNDING
 
 
 @kernel_inline
-def _give_up(shields: BatchMemory, law: BatchParameters, records: BatchRecords, e: int, reason: int) -> None:
+def _give_up(shields: BatchMemory, parameters: BatchParameters, records: BatchRecords, e: int, reason: int) -> None:
     """Slow down; the frames continue the stored plan."""
     records.tier[e] = _EMERGENCY if shields.stored[e] == NO_INDEX else _STORED
-    records.reason[e], records.executed[e] = reason, law.numbers.slower
+    records.reason[e], records.executed[e] = reason, parameters.numbers.slower
     records.margin[e], records.clause[e], records.vehicle[e] = math.nan, NOTHING_BINDS, NO_INDEX
 
 
 @kernel_inline
-def _alternatives(bench: BatchPointers, e: int, proposed: int, order: IntArray, changes: bool, out: IntArray) -> int:
+def _alternatives(pointers: BatchPointers, e: int, proposed: int, order: IntArray, changes: bool, out: IntArray) -> int:
     """Fill in the alternatives to the proposal: in the policy's order, or in the documented one. Return their
     number."""
-    shields, law, worlds = dereference(bench.shields), dereference(bench.law), dereference(bench.worlds)
-    room = dereference(bench.room)
-    lanes, wanted, ordered, n, kept = room.marks[5], room.numbers[0], room.marks[3], 0, 0
+    shields, parameters, worlds = (
+        dereference(pointers.shields),
+        dereference(pointers.parameters),
+        dereference(pointers.worlds),
+    )
+    workspace = dereference(pointers.workspace)
+    lanes, wanted, ordered, n, kept = workspace.marks[5], workspace.numbers[0], workspace.marks[3], 0, 0
     if order.shape[0] > 0 and order[0] >= 0:
         while n < order.shape[0] and order[n] >= 0:
             ordered[n] = order[n]
             n += 1
     else:
-        n = _default_order(shields, law, worlds, e, proposed, room, ordered)
+        n = _default_order(shields, parameters, worlds, e, proposed, workspace, ordered)
         # An acceleration cap comes before an action that slows down.
         for k in range(n):
-            label = law.labels[ordered[k]]
+            label = parameters.labels[ordered[k]]
             if label == 4 or (not changes and label in (1, _FASTER)):
                 n = k
                 break
@@ -276,7 +289,7 @@ def _alternatives(bench: BatchPointers, e: int, proposed: int, order: IntArray, 
 
 
 @kernel_no_refcount
-def decide(bench: BatchPointers, e: int, proposed: int, order: IntArray) -> None:
+def decide(pointers: BatchPointers, e: int, proposed: int, order: IntArray) -> None:
     """Decide about one meta-action, into `records`.
 
     Parameters
@@ -285,39 +298,43 @@ def decide(bench: BatchPointers, e: int, proposed: int, order: IntArray) -> None
     order : the policy's order of preference among the other actions, up to the first negative entry; if empty, the
         documented order.
     """
-    shields, law, worlds = dereference(bench.shields), dereference(bench.law), dereference(bench.worlds)
-    room, records = dereference(bench.room), dereference(bench.records)
-    labels, numbers, wanted = law.labels, law.numbers, room.numbers[0]
-    lanes, actions, found = room.marks[5], room.marks[4], room.grid[2, 4:8]
+    shields, parameters, worlds = (
+        dereference(pointers.shields),
+        dereference(pointers.parameters),
+        dereference(pointers.worlds),
+    )
+    workspace, records = dereference(pointers.workspace), dereference(pointers.records)
+    labels, numbers, wanted = parameters.labels, parameters.numbers, workspace.numbers[0]
+    lanes, actions, found = workspace.marks[5], workspace.marks[4], workspace.grid[2, 4:8]
     count = labels.shape[0]
     records.proposed[e] = proposed
     if not 0 <= proposed < count:
-        _give_up(shields, law, records, e, _BAD_ACTION)
+        _give_up(shields, parameters, records, e, _BAD_ACTION)
         return
-    if not observe(bench, e):
-        _give_up(shields, law, records, e, _BAD_SCENE)
+    if not observe(pointers, e):
+        _give_up(shields, parameters, records, e, _BAD_SCENE)
         return
-    scene = address_of(scene_of(shields, law, e))
+    scene = address_of(scene_of(shields, parameters, e))
     for a in range(count):
-        lanes[a], wanted[a] = target_of(worlds, law, e, a)
+        lanes[a], wanted[a] = target_of(worlds, parameters, e, a)
     lane, speed, v = lanes[proposed], wanted[proposed], shields.ego[e, 3]
-    changes, reason = lane != nearest(law.centers, shields.state[e, 1]), _BUFFER
-    if not is_blocked_alongside(shields, law, e, lane):
+    changes, reason = lane != nearest(parameters.centers, shields.state[e, 1]), _BUFFER
+    if not is_blocked_alongside(shields, parameters, e, lane):
         # The frames can cap the acceleration of a longitudinal proposal. A lane change should verify for the whole
         # decision.
-        lasting = frames_of(law, v, speed, numbers.period) if changes else 0
-        if verifies(bench, scene, e, (lane, speed), frames_of(law, v, speed, numbers.one), lasting, found):
+        lasting = frames_of(parameters, v, speed, numbers.period) if changes else 0
+        if verifies(pointers, scene, e, (lane, speed), frames_of(parameters, v, speed, numbers.one), lasting, found):
             _keep(shields, records, e, _PASSED, _NONE, proposed, found)
             return
-        reason = _why(shields, law, e, lane, speed)
+        reason = _why(shields, parameters, e, lane, speed)
     if changes:
         # A lane change that verifies at a lower speed.
         actions[0] = proposed
-        if _first_action(bench, scene, e, actions, numbers.one, numbers.one, found) != NO_INDEX:
+        if _first_action(pointers, scene, e, actions, numbers.one, numbers.one, found) != NO_INDEX:
             _keep(shields, records, e, _GOVERNED, reason, proposed, found)
             return
-    n = _alternatives(bench, e, proposed, order, changes, actions)
-    executed = _first_action(bench, scene, e, actions, n, numbers.one, found)
+    n = _alternatives(pointers, e, proposed, order, changes, actions)
+    executed = _first_action(pointers, scene, e, actions, n, numbers.one, found)
     if executed != NO_INDEX:
         _keep(shields, records, e, _ALTERNATIVE, reason, executed, found)
         return
@@ -329,9 +346,9 @@ def decide(bench: BatchPointers, e: int, proposed: int, order: IntArray) -> None
     ):
         if executed == NO_INDEX:
             continue
-        kept = hold_back(bench, scene, e, lanes[executed], wanted[executed], numbers.one)
+        kept = hold_back(pointers, scene, e, lanes[executed], wanted[executed], numbers.one)
         if kept != NO_INDEX:
-            plans = room.plans
+            plans = workspace.plans
             found[0], found[1] = plans.margins[kept], plans.fails[kept]
             found[2], found[3] = plans.clauses[kept], plans.vehicles[kept]
             _keep(shields, records, e, _GOVERNED, reason, executed, found)
@@ -343,8 +360,8 @@ def decide(bench: BatchPointers, e: int, proposed: int, order: IntArray) -> None
         if a != proposed:
             actions[n] = a
             n += 1
-    executed = _first_action(bench, scene, e, actions, n, numbers.none, found)
+    executed = _first_action(pointers, scene, e, actions, n, numbers.none, found)
     if executed != NO_INDEX:
         _keep(shields, records, e, _ALTERNATIVE, reason, executed, found)
         return
-    _give_up(shields, law, records, e, _PRECAUTION if _only_refused(bench, e) else _NO_PLAN)
+    _give_up(shields, parameters, records, e, _PRECAUTION if _only_refused(pointers, e) else _NO_PLAN)

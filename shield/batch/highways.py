@@ -65,12 +65,12 @@ class ShieldedHighways(FilteredHighways):
         lanes = scenario.config["lanes_count"]
         road = StraightRoad.from_network(RoadNetwork.straight_road_network(lanes, speed_limit=30))
         length, width = float(worlds.p[0, LENGTH, 0]), float(worlds.p[0, WIDTH, 0])
-        self.law: BatchParameters = batch_parameters_of(self.config, scenario, road, length, width)
+        self.parameters: BatchParameters = batch_parameters_of(self.config, scenario, road, length, width)
         others = scenario.bodies - 1
-        self.shields = empty_memory(self.num_envs, others, self.law)
+        self.shields = empty_memory(self.num_envs, others, self.parameters)
         self._frequency = float(scenario.config["simulation_frequency"])
-        self._rooms = [
-            (self.simulator.new_work(), new_batch_workspace(others, self.law, 9 * ACCELERATIONS), np.zeros(2))
+        self._workspaces = [
+            (self.simulator.new_work(), new_batch_workspace(others, self.parameters, 9 * ACCELERATIONS), np.zeros(2))
             for _ in range(threads)
         ]
 
@@ -78,13 +78,13 @@ class ShieldedHighways(FilteredHighways):
         reset_memory(self.shields, e)
 
     def _decide(self, part: int, first: int, last: int, actions: IntArray, orders: IntArray, again: bool) -> None:
-        simulator, (work, room, given) = self.simulator, self._rooms[part]
+        simulator, (work, workspace, given) = self.simulator, self._workspaces[part]
         scenario = simulator.scenario
         simulation = Simulation(
             simulator.machine, simulator.worlds, scenario.rules, scenario.view, work, simulator.flat
         )
         shield, inputs = (
-            ShieldArrays(self.shields, self.law, room, self.records),
+            ShieldArrays(self.shields, self.parameters, workspace, self.records),
             DecisionInputs(actions, orders, given),
         )
         frames, which = FrameRecords(self.rows, self.off_road), BatchPart(first, last, again)
@@ -94,4 +94,4 @@ class ShieldedHighways(FilteredHighways):
         # An observation changes the memory, for example the count of violations. So the mask works on a copy.
         shields = BatchMemory._make(array[first:last].copy() for array in self.shields)
         worlds = Worlds._make(array[first:last] for array in self.worlds)
-        mask_all(worlds, shields, self.law, self._rooms[part][1], self.records, masks[first:last])
+        mask_all(worlds, shields, self.parameters, self._workspaces[part][1], self.records, masks[first:last])

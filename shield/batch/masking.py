@@ -19,20 +19,24 @@ __all__ = ["mask_all"]
 
 
 @kernel_no_refcount
-def _mask(bench: BatchPointers, e: int, mask: BoolArray) -> None:
+def _mask(pointers: BatchPointers, e: int, mask: BoolArray) -> None:
     """Fill in the actions that verify in one environment, (actions,); none if the scene is not finite. The scene is
     observed."""
-    shields, law, room = dereference(bench.shields), dereference(bench.law), dereference(bench.room)
-    lanes, wanted, found = room.marks[5], room.numbers[0], room.grid[2, :4]
+    shields, parameters, workspace = (
+        dereference(pointers.shields),
+        dereference(pointers.parameters),
+        dereference(pointers.workspace),
+    )
+    lanes, wanted, found = workspace.marks[5], workspace.numbers[0], workspace.grid[2, :4]
     for a in range(mask.shape[0]):
         mask[a] = False
-    if not observe(bench, e):
+    if not observe(pointers, e):
         return
-    scene = address_of(scene_of(shields, law, e))
-    here, v = nearest(law.centers, shields.state[e, 1]), shields.ego[e, 3]
+    scene = address_of(scene_of(shields, parameters, e))
+    here, v = nearest(parameters.centers, shields.state[e, 1]), shields.ego[e, 3]
     for a in range(mask.shape[0]):
-        lanes[a], wanted[a] = target_of(dereference(bench.worlds), law, e, a)
-        mask[a] = not is_blocked_alongside(shields, law, e, lanes[a])
+        lanes[a], wanted[a] = target_of(dereference(pointers.worlds), parameters, e, a)
+        mask[a] = not is_blocked_alongside(shields, parameters, e, lanes[a])
     for changes in (False, True):
         most = -math.inf
         for a in range(mask.shape[0]):
@@ -42,19 +46,19 @@ def _mask(bench: BatchPointers, e: int, mask: BoolArray) -> None:
             continue
         # The frames can cap the acceleration of a longitudinal action. A lane change should verify for the whole
         # decision.
-        frames = frames_of(law, v, most, law.numbers.one)
-        lasting = frames_of(law, v, most, law.numbers.period) if changes else 0
+        frames = frames_of(parameters, v, most, parameters.numbers.one)
+        lasting = frames_of(parameters, v, most, parameters.numbers.period) if changes else 0
         for a in range(mask.shape[0]):
             if mask[a] and (lanes[a] != here) == changes:
-                mask[a] = verifies(bench, scene, e, (lanes[a], wanted[a]), frames, lasting, found)
+                mask[a] = verifies(pointers, scene, e, (lanes[a], wanted[a]), frames, lasting, found)
 
 
 @kernel_no_refcount
 def mask_all(
     worlds: Worlds,
     shields: BatchMemory,
-    law: BatchParameters,
-    room: BatchWorkspace,
+    parameters: BatchParameters,
+    workspace: BatchWorkspace,
     records: BatchRecords,
     masks: BoolArray,
 ) -> None:
@@ -64,8 +68,8 @@ def mask_all(
     ----------
     shields : memory; the scenes are observed. records : not written.
     """
-    bench = BatchPointers(
-        address_of(shields), address_of(law), address_of(worlds), address_of(room), address_of(records)
+    pointers = BatchPointers(
+        address_of(shields), address_of(parameters), address_of(worlds), address_of(workspace), address_of(records)
     )
     for e in range(masks.shape[0]):
-        _mask(bench, e, masks[e])
+        _mask(pointers, e, masks[e])

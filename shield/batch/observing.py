@@ -53,11 +53,13 @@ def reset_memory(shields: BatchMemory, e: int) -> None:
 
 
 @kernel_inline
-def set_stop_candidate(shields: BatchMemory, law: BatchParameters, e: int, lane: int, room: BatchWorkspace) -> int:
+def set_stop_candidate(
+    shields: BatchMemory, parameters: BatchParameters, e: int, lane: int, workspace: BatchWorkspace
+) -> int:
     """Set candidate 0 to braking to a stop in a lane from now on. Return its number of frames."""
-    plans, numbers, v = room.plans, law.numbers, shields.state[e, 3]
+    plans, numbers, v = workspace.plans, parameters.numbers, shields.state[e, 3]
     plans.lanes[0], plans.fails[0], plans.speeds[0] = lane, lane, v - numbers.braking / KP_SPEED
-    return frames_of(law, v, plans.speeds[0], numbers.one)
+    return frames_of(parameters, v, plans.speeds[0], numbers.one)
 
 
 @kernel_inline
@@ -81,9 +83,9 @@ def _read(worlds: Worlds, e: int, shields: BatchMemory, after: VehicleTables) ->
 @kernel_inline
 def _prepare(
     shields: BatchMemory,
-    law: BatchParameters,
+    parameters: BatchParameters,
     e: int,
-    room: BatchWorkspace,
+    workspace: BatchWorkspace,
     before: VehicleTables,
     after: VehicleTables,
 ) -> None:
@@ -93,35 +95,37 @@ def _prepare(
         shields.ego[e],
         shields.state[e],
         after.others.shape[0],
-        law.centers.shape[0],
-        law.numbers,
+        parameters.centers.shape[0],
+        parameters.numbers,
     )
     known = 0 if first else m
     # The lanes that the ego owns, and the vehicles that may enter each lane.
     coming = shields.flags[e, old, 2 + lanes : 2 + lanes if first else 2 + 2 * lanes]
     half = 0.5 * (ego[4] * abs(math.sin(state[2])) + ego[5] * abs(math.cos(state[2])))
-    near = LaneDistances(law.settings[0], TOUCH + half, 0.5 * numbers.width + half)
-    ground, stored = LaneState(law.centers, shields.owned[e], shields.visible[e]), shields.stored[e]
-    update_lanes(state[1], 1, near, (stored, first), ground, shields.owing[e], coming)
-    motion = law.motion
-    markings = LaneMarkings(law.centers, numbers.width, motion[17], motion[18], motion[16])
-    vehicles = VehiclesOnRoad(after.others, after.states, law.growth, law.stretch)
+    near = LaneDistances(parameters.settings[0], TOUCH + half, 0.5 * numbers.width + half)
+    ground, stored = LaneState(parameters.centers, shields.owned[e], shields.visible[e]), shields.stored[e]
+    update_lanes(state[1], 1, near, (stored, first), ground, shields.obliged[e], coming)
+    motion = parameters.motion
+    markings = LaneMarkings(parameters.centers, numbers.width, motion[17], motion[18], motion[16])
+    vehicles = VehiclesOnRoad(after.others, after.states, parameters.growth, parameters.stretch)
     last = PreviousTables(before.states[:known], before.tables.numbers, before.tables.recent)
-    work, place = ReactionWork(room.order, room.ways), LapPosition(0.0, state[0])
+    work, place = ReactionWork(workspace.order, workspace.ways), LapPosition(0.0, state[0])
     derive_tables(vehicles, markings, motion, place, last, after.tables, work)
-    out = SceneBuffers(VehicleBuffers(shields.of_others[e], shields.flags[e, new]), shields.slipping[e], room.tempted)
-    earlier, row = EarlierVehicles(shields.owing[e, :known], coming), EgoArrays(ego, state, law.size)
-    shields.slips[e] = prepare_scene(after, row, ground, law.settings, (stored, NO_INDEX), earlier, out)
+    out = SceneBuffers(
+        VehicleBuffers(shields.of_others[e], shields.flags[e, new]), shields.cutting_in[e], workspace.tempted
+    )
+    earlier, row = EarlierVehicles(shields.obliged[e, :known], coming), EgoArrays(ego, state, parameters.size)
+    shields.cut_ins[e] = prepare_scene(after, row, ground, parameters.settings, (stored, NO_INDEX), earlier, out)
     shields.now[e], shields.frame[e] = new, shields.clock[e]
-    room.desk.swept[0], room.suspect[0] = 0, NO_INDEX
+    workspace.clause_workspace.swept[0], workspace.suspect[0] = 0, NO_INDEX
     for j in range(m):
-        room.desk.done[0, j] = room.desk.done[1, j] = 0
+        workspace.clause_workspace.done[0, j] = workspace.clause_workspace.done[1, j] = 0
 
 
 @kernel_inline
-def _world(shields: BatchMemory, law: BatchParameters, e: int) -> EgoFootprint:
+def _world(shields: BatchMemory, parameters: BatchParameters, e: int) -> EgoFootprint:
     """The ego of one environment in the world frame."""
-    ego, numbers, crashed = shields.ego[e], law.numbers, shields.ego[e, 6] > 0
+    ego, numbers, crashed = shields.ego[e], parameters.numbers, shields.ego[e, 6] > 0
     along, across = 0.5 * ego[4], 0.5 * ego[5]
     longitudinal, lateral = along + numbers.longitudinal, across + numbers.lateral
     new = crashed and not shields.crashed[e]
@@ -130,7 +134,7 @@ def _world(shields: BatchMemory, law: BatchParameters, e: int) -> EgoFootprint:
 
 @kernel_inline
 def _mark_relied_on(
-    shields: BatchMemory, law: BatchParameters, e: int, after: VehicleTables, counted: BoolArray
+    shields: BatchMemory, parameters: BatchParameters, e: int, after: VehicleTables, counted: BoolArray
 ) -> None:
     """`mark_relied_on` in one environment, after `_prepare`."""
     for i in range(counted.shape[0]):
@@ -139,33 +143,37 @@ def _mark_relied_on(
         return
     tables, flags, flags0 = after.tables, shields.flags[e, shields.now[e]], shields.flags[e, 1 - shields.now[e]]
     bodies = bodies_of(tables.marks, tables.numbers, tables.brakes, tables.recent)
-    others, foot = vehicles_from(bodies, shields.of_others[e], flags), Footprint(*row_as_tuple(law.size, 8))
-    lanes, plan = LaneState(law.centers, shields.owned[e], shields.visible[e]), (shields.stored[e], NO_INDEX)
+    others, foot = vehicles_from(bodies, shields.of_others[e], flags), Footprint(*row_as_tuple(parameters.size, 8))
+    lanes, plan = LaneState(parameters.centers, shields.owned[e], shields.visible[e]), (shields.stored[e], NO_INDEX)
     mark_relied_on(others, shields.state[e], foot, lanes, plan, (flags0[0], flags0[1]), counted)
 
 
 @kernel_inline
-def _judge_growth(bench: BatchPointers, e: int, broken: IntArray, grown: IntArray) -> bool:
+def _mark_growth(pointers: BatchPointers, e: int, broken: IntArray, grown: IntArray) -> bool:
     """Add `grown` to `broken` where the fail-safe loses its room. Return whether there is any such vehicle."""
-    shields, law, room = dereference(bench.shields), dereference(bench.law), dereference(bench.room)
+    shields, parameters, workspace = (
+        dereference(pointers.shields),
+        dereference(pointers.parameters),
+        dereference(pointers.workspace),
+    )
     stored, some = shields.stored[e], False
-    lane = nearest(law.centers, shields.state[e, 1]) if stored == NO_INDEX else stored
-    frames = set_stop_candidate(shields, law, e, lane, room)
-    scene, one, none = address_of(scene_of(shields, law, e)), law.numbers.one, law.numbers.none
-    verify(bench, scene, one, (one, frames), none, room.nobody, none)
-    for n in range(room.desk.found[0]):
-        j = room.desk.near[n]
-        if room.desk.apart[n] < 0:
+    lane = nearest(parameters.centers, shields.state[e, 1]) if stored == NO_INDEX else stored
+    frames = set_stop_candidate(shields, parameters, e, lane, workspace)
+    scene, one, none = address_of(scene_of(shields, parameters, e)), parameters.numbers.one, parameters.numbers.none
+    verify(pointers, scene, one, (one, frames), none, workspace.nobody, none)
+    for n in range(workspace.clause_workspace.found[0]):
+        j = workspace.clause_workspace.near[n]
+        if workspace.clause_workspace.apart[n] < 0:
             broken[j] |= grown[j]
             some = some or broken[j] != 0
     return some
 
 
 @kernel_inline
-def _count(shields: BatchMemory, e: int, owing: BoolArray, broken: IntArray, some: bool) -> None:
+def _count(shields: BatchMemory, e: int, obliged: BoolArray, broken: IntArray, some: bool) -> None:
     """Store the distance obligations, and count the violations. With `some`, there are new ones or ones that last."""
     for i in range(broken.shape[0]):
-        shields.owing[e, i] = owing[i]
+        shields.obliged[e, i] = obliged[i]
         if some and broken[i] != 0:
             if not shields.breaking[e, i]:
                 shields.offences[e] += 1
@@ -177,32 +185,44 @@ def _count(shields: BatchMemory, e: int, owing: BoolArray, broken: IntArray, som
 
 
 @kernel_no_refcount
-def observe(bench: BatchPointers, e: int) -> bool:
+def observe(pointers: BatchPointers, e: int) -> bool:
     """Observe the scene of one environment, once a frame. Return False, and change nothing, if it is not finite."""
-    shields, law, room = dereference(bench.shields), dereference(bench.law), dereference(bench.room)
+    shields, parameters, workspace = (
+        dereference(pointers.shields),
+        dereference(pointers.parameters),
+        dereference(pointers.workspace),
+    )
     if shields.frame[e] == shields.clock[e]:
         return True
     old, first = shields.now[e], shields.frame[e] == NO_INDEX
     before, after = _tables(shields, e, old), _tables(shields, e, 1 - old)
-    if not _read(dereference(bench.worlds), e, shields, after):
+    if not _read(dereference(pointers.worlds), e, shields, after):
         return False
-    _prepare(shields, law, e, room, before, after)
+    _prepare(shields, parameters, e, workspace, before, after)
     m, flags, crashed = after.others.shape[0], shields.flags[e, 1 - old], shields.ego[e, 6] > 0
     if first:
         for i in range(m):
-            shields.owing[e, i] = flags[0, i] and flags[1, i]
+            shields.obliged[e, i] = flags[0, i] and flags[1, i]
             shields.breaking[e, i] = shields.offenders[e, i] = False
         shields.crashed[e] = crashed
         return True
-    world, limits = _world(shields, law, e), MotionLimits(law.stretch, law.motion, law.limits)
-    broken, grown, owing, counted = room.marks[0, :m], room.marks[1, :m], room.flags[0], room.flags[1]
-    check_motions(before, after, limits, shields.owing[e], world, RuleViolations(broken, grown))
-    _mark_relied_on(shields, law, e, after, counted)
-    some, more = update_obligations(shields.owing[e], counted, flags[0], flags[1], broken, grown, owing)
+    world, limits = (
+        _world(shields, parameters, e),
+        MotionLimits(parameters.stretch, parameters.motion, parameters.limits),
+    )
+    broken, grown, obliged, counted = (
+        workspace.marks[0, :m],
+        workspace.marks[1, :m],
+        workspace.flags[0],
+        workspace.flags[1],
+    )
+    check_motions(before, after, limits, shields.obliged[e], world, RuleViolations(broken, grown))
+    _mark_relied_on(shields, parameters, e, after, counted)
+    some, more = update_obligations(shields.obliged[e], counted, flags[0], flags[1], broken, grown, obliged)
     if more:
         # A vehicle that takes more room than before has to leave the ego's fail-safe its room.
-        some = mark_touching(world, after.others, law.numbers.dt, grown, broken) or some
-        some = _judge_growth(bench, e, broken, grown) or some
-    _count(shields, e, owing, broken, some)
+        some = mark_touching(world, after.others, parameters.numbers.dt, grown, broken) or some
+        some = _mark_growth(pointers, e, broken, grown) or some
+    _count(shields, e, obliged, broken, some)
     shields.crashed[e] = crashed
     return True

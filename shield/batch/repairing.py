@@ -20,31 +20,31 @@ __all__ = ["evade", "fail_lanes", "held_back", "hold_back"]
 
 
 @kernel_inline
-def _grid(law: BatchParameters, v: float, speed: float, room: BatchWorkspace) -> None:
+def _grid(parameters: BatchParameters, v: float, speed: float, workspace: BatchWorkspace) -> None:
     """Accelerations from full braking to that of the target, equal to `np.linspace` [m/s^2]."""
-    low = -law.numbers.braking
+    low = -parameters.numbers.braking
     high = max(min(KP_SPEED * (speed - v), GREATEST), low)
     step = (high - low) / (ACCELERATIONS - 1)
     for i in range(ACCELERATIONS):
-        room.grid[0, i] = i * step + low if step != 0 else i / (ACCELERATIONS - 1) * (high - low) + low
-    room.grid[0, ACCELERATIONS - 1] = high
+        workspace.grid[0, i] = i * step + low if step != 0 else i / (ACCELERATIONS - 1) * (high - low) + low
+    workspace.grid[0, ACCELERATIONS - 1] = high
 
 
 @kernel_inline
-def held_back(law: BatchParameters, v: float, speed: float, change: float, room: BatchWorkspace) -> float:
+def held_back(parameters: BatchParameters, v: float, speed: float, change: float, workspace: BatchWorkspace) -> float:
     """Speed to which a target is reduced for one of `CAPS` [m/s]; see `capped_speeds`."""
-    _grid(law, v, speed, room)
-    place, wish = 0, KP_SPEED * change
+    _grid(parameters, v, speed, workspace)
+    place, tracking = 0, KP_SPEED * change
     for i in range(ACCELERATIONS):
-        if room.grid[0, i] <= wish:
+        if workspace.grid[0, i] <= tracking:
             place = i
-    return v + room.grid[0, place] / KP_SPEED
+    return v + workspace.grid[0, place] / KP_SPEED
 
 
 @kernel_inline
-def fail_lanes(shields: BatchMemory, law: BatchParameters, e: int, lane: int, out: IntArray) -> int:
+def fail_lanes(shields: BatchMemory, parameters: BatchParameters, e: int, lane: int, out: IntArray) -> int:
     """Fill in `shield.pipelines.frames.fail_lanes`. Return the number of lanes."""
-    here, stored = nearest(law.centers, shields.state[e, 1]), shields.stored[e]
+    here, stored = nearest(parameters.centers, shields.state[e, 1]), shields.stored[e]
     if stored == NO_INDEX or abs(stored - here) > 1:
         stored = here
     out[0], n = lane, 1
@@ -58,21 +58,23 @@ def fail_lanes(shields: BatchMemory, law: BatchParameters, e: int, lane: int, ou
 
 
 @kernel_no_refcount
-def hold_back(bench: BatchPointers, scene: Pointer[ClauseScene], e: int, lane: int, speed: float, begins: int) -> int:
+def hold_back(
+    pointers: BatchPointers, scene: Pointer[ClauseScene], e: int, lane: int, speed: float, begins: int
+) -> int:
     """The candidate with the greatest acceleration that verifies, committed lane first, or -1; `begins` as in
     `shield.pipelines.frames.AccelerationCap`, 0 or 1."""
-    law, room = dereference(bench.law), dereference(bench.room)
-    lanes, plans, grid = room.marks[2], room.plans, room.grid
-    count, v = fail_lanes(dereference(bench.shields), law, e, lane, lanes), dereference(scene).state[3]
-    here = nearest(law.centers, dereference(scene).state[1])
-    _grid(law, v, speed, room)
+    parameters, workspace = dereference(pointers.parameters), dereference(pointers.workspace)
+    lanes, plans, grid = workspace.marks[2], workspace.plans, workspace.grid
+    count, v = fail_lanes(dereference(pointers.shields), parameters, e, lane, lanes), dereference(scene).state[3]
+    here = nearest(parameters.centers, dereference(scene).state[1])
+    _grid(parameters, v, speed, workspace)
     most = -math.inf
     for i in range(ACCELERATIONS):
         grid[1, i] = v + grid[0, i] / KP_SPEED
         most = max(most, grid[1, i])
-    frames = frames_of(law, v, most, law.numbers.one)
+    frames = frames_of(parameters, v, most, parameters.numbers.one)
     # From the best score to the worst; among equals, by the lane of the stop, then by the target lane.
-    nexts, tied, at = room.marks[3], room.marks[4], 0
+    nexts, tied, at = workspace.marks[3], workspace.marks[4], 0
     for k in range(count):
         nexts[k] = ACCELERATIONS - 1
     while True:
@@ -81,8 +83,8 @@ def hold_back(bench: BatchPointers, scene: Pointer[ClauseScene], e: int, lane: i
             if nexts[k] >= 0:
                 best = max(best, grid[0, nexts[k]] - (0.0 if lanes[k] == lane else LANE_PENALTY))
         if best == -math.inf:
-            x = law.numbers
-            return verify(bench, scene, at, (x.one, frames), x.none, room.nobody, x.one)
+            x = parameters.numbers
+            return verify(pointers, scene, at, (x.one, frames), x.none, workspace.nobody, x.one)
         for k in range(count):
             if nexts[k] >= 0 and grid[0, nexts[k]] - (0.0 if lanes[k] == lane else LANE_PENALTY) == best:
                 tied[n] = k
@@ -100,10 +102,10 @@ def hold_back(bench: BatchPointers, scene: Pointer[ClauseScene], e: int, lane: i
 
 
 @kernel_inline
-def _least_bad(room: BatchWorkspace, n: int, lawful: bool) -> int:
+def _least_bad(workspace: BatchWorkspace, n: int, lawful: bool) -> int:
     """Index of the best candidate, among those that clear the vehicles without a violation (with `lawful`) or among
     all; see `shield.certificate.road.verify.least_bad_evasion`."""
-    plans, best, most = room.plans, NO_INDEX, (0, 0, 0.0)
+    plans, best, most = workspace.plans, NO_INDEX, (0, 0, 0.0)
     for i in range(n):
         if lawful and not plans.lawful[i] >= 0:
             continue
@@ -115,49 +117,49 @@ def _least_bad(room: BatchWorkspace, n: int, lawful: bool) -> int:
 
 
 @kernel_no_refcount
-def evade(bench: BatchPointers, lent: Pointer[ClauseScene], e: int, speed: float, violated: bool) -> int:
+def evade(pointers: BatchPointers, scene_pointer: Pointer[ClauseScene], e: int, speed: float, violated: bool) -> int:
     """The candidate that is expected to stay clear longest, among those that clear the vehicles without a violation
     (see `ObservedScene.lawful`); if there are none, among all."""
-    shields, law, room, scene = (
-        dereference(bench.shields),
-        dereference(bench.law),
-        dereference(bench.room),
-        dereference(lent),
+    shields, parameters, workspace, scene = (
+        dereference(pointers.shields),
+        dereference(pointers.parameters),
+        dereference(pointers.workspace),
+        dereference(scene_pointer),
     )
-    plans, lanes, x = room.plans, room.marks[2], law.numbers
-    here, stored, n = nearest(law.centers, scene.state[1]), shields.stored[e], 0
+    plans, lanes, x = workspace.plans, workspace.marks[2], parameters.numbers
+    here, stored, n = nearest(parameters.centers, scene.state[1]), shields.stored[e], 0
     for lane in (here, here - 1, here + 1):
-        if 0 <= lane < law.centers.shape[0]:
+        if 0 <= lane < parameters.centers.shape[0]:
             lanes[n] = lane
             n += 1
     if stored != NO_INDEX and stored not in (here, here - 1, here + 1):
         lanes[n] = stored
         n += 1
     v, most = scene.state[3], -math.inf
-    _grid(law, v, speed, room)
+    _grid(parameters, v, speed, workspace)
     at = 0
     for k in range(n):
         for i in range(ACCELERATIONS):
             plans.lanes[at] = plans.fails[at] = lanes[k]
-            plans.accelerations[at], plans.speeds[at] = room.grid[0, i], v + room.grid[0, i] / KP_SPEED
+            plans.accelerations[at], plans.speeds[at] = workspace.grid[0, i], v + workspace.grid[0, i] / KP_SPEED
             most = max(most, plans.speeds[at])
             at += 1
-    frames = frames_of(law, v, most, law.numbers.one)
+    frames = frames_of(parameters, v, most, parameters.numbers.one)
     if violated:
-        verify(bench, lent, at, (x.one, frames), x.none, shields.offenders[e], x.none)
+        verify(pointers, scene_pointer, at, (x.one, frames), x.none, shields.offenders[e], x.none)
         for i in range(at):
             plans.lawful[i] = plans.margins[i]
         # The workspace may hold the values of another forecast in this scene.
         for j in range(scene.around.states.shape[0]):
-            room.desk.done[1, j] = 0
-        verify(bench, lent, at, (x.one, frames), frames, room.nobody, x.none)
+            workspace.clause_workspace.done[1, j] = 0
+        verify(pointers, scene_pointer, at, (x.one, frames), frames, workspace.nobody, x.none)
         for i in range(at):
             plans.expected[i], plans.lasting[i] = plans.margins[i], plans.clear[i]
-    verify(bench, lent, at, (x.one, frames), x.none, room.nobody, x.none)
+    verify(pointers, scene_pointer, at, (x.one, frames), x.none, workspace.nobody, x.none)
     keeps = False
     for i in range(at):
         if not violated:
             plans.lawful[i] = plans.expected[i] = plans.margins[i]
             plans.lasting[i] = plans.clear[i]
         keeps = keeps or plans.lawful[i] >= 0
-    return _least_bad(room, at, keeps)
+    return _least_bad(workspace, at, keeps)

@@ -30,8 +30,8 @@ class ShieldArrays(NamedTuple):
     """Memory, settings and records of the shields, and the workspace of one thread."""
 
     shields: BatchMemory
-    law: BatchParameters
-    room: BatchWorkspace
+    parameters: BatchParameters
+    workspace: BatchWorkspace
     records: BatchRecords
 
 
@@ -94,23 +94,23 @@ def step_all_shielded(
     frequency : frames per second [Hz].
     """
     machine, worlds, rules, view, work, seen = simulation
-    shields, law, room, records = shield
+    shields, parameters, workspace, records = shield
     actions, orders, given = inputs
-    bench = BatchPointers(
-        address_of(shields), address_of(law), address_of(worlds), address_of(room), address_of(records)
+    pointers = BatchPointers(
+        address_of(shields), address_of(parameters), address_of(worlds), address_of(workspace), address_of(records)
     )
     for e in range(part.first, part.last):
-        before, proposed, off = shields.offences[e], actions[e], law.numbers.off
+        before, proposed, off = shields.offences[e], actions[e], parameters.numbers.off
         broken, by_rule = records.broken[e], shields.by_rule[e]
         for k in range(by_rule.shape[0]):
             broken[k] = -by_rule[k]
         if off:
             let_pass(records, e, proposed)
         else:
-            decide(bench, e, proposed, orders[e])
+            decide(pointers, e, proposed, orders[e])
         lane, speed = _NO_TARGET
         if records.tier[e] == _PASSED:
-            lane, speed = target_of(worlds, law, e, proposed)
+            lane, speed = target_of(worlds, parameters, e, proposed)
         given[0], given[1] = records.executed[e], 0.0
         begin(worlds, rules, e, given)
         level = sort(worlds.f[e], worlds.order[e])
@@ -124,7 +124,7 @@ def step_all_shielded(
                 records.clauses[e, 0], records.vehicles[e, 0] = records.clause[e], records.vehicle[e]
                 records.lanes[e, 0], records.accelerations[e, 0] = lane, 0.0
             else:
-                supervise(bench, e, k)
+                supervise(pointers, e, k)
                 if records.tiers[e, k] != _PASSED:
                     worlds.g[e, TARGET, 0] = records.lanes[e, k]
                     throttle = max(records.accelerations[e, k], -max(worlds.f[e, SPEED, 0], 0.0) * frequency)
@@ -134,7 +134,7 @@ def step_all_shielded(
         finish(machine, worlds, rules, view, work, seen, e)
         if not off and (seen.terminated[e] or seen.truncated[e]):
             # The last frame of an episode is observed although no decision follows.
-            observe(bench, e)
+            observe(pointers, e)
         records.violations[e] = shields.offences[e] - before
         for k in range(by_rule.shape[0]):
             broken[k] += by_rule[k]

@@ -23,7 +23,7 @@ from shield.certificate.road.clauses.workspace import ClauseScene
 from shield.certificate.road.verify import ROUNDING
 from shield.decision import Reason, Tier
 
-__all__ = ["clear_violators", "judge_stored", "supervise", "violated"]
+__all__ = ["clear_violators", "stored_margin", "supervise", "violated"]
 
 _PASSED, _GOVERNED, _STORED = TIERS.index(Tier.PASSED), TIERS.index(Tier.GOVERNED), TIERS.index(Tier.STORED_PLAN)
 _EVADED, _LARGEST, _EMERGENCY = (
@@ -60,8 +60,8 @@ def _keep(records: BatchRecords, e: int, k: int, tier: int, reason: int, lane: i
 
 
 @kernel_inline
-def _note(records: BatchRecords, e: int, k: int, room: BatchWorkspace, i: int) -> None:
-    plans = room.plans
+def _note(records: BatchRecords, e: int, k: int, workspace: BatchWorkspace, i: int) -> None:
+    plans = workspace.plans
     records.margins[e, k], records.clauses[e, k], records.vehicles[e, k] = (
         plans.margins[i],
         plans.clauses[i],
@@ -70,77 +70,90 @@ def _note(records: BatchRecords, e: int, k: int, room: BatchWorkspace, i: int) -
 
 
 @kernel_no_refcount
-def judge_stored(bench: BatchPointers, e: int) -> float:
+def stored_margin(pointers: BatchPointers, e: int) -> float:
     """Judge the stored plan from now on as candidate 0, without precautions and without violators. Return its margin
     [m]."""
-    shields, law, room = dereference(bench.shields), dereference(bench.law), dereference(bench.room)
-    frames, x = set_stop_candidate(shields, law, e, shields.stored[e], room), law.numbers
-    scene = address_of(without_precautions(scene_of(shields, law, e)))
-    verify(bench, scene, x.one, (x.one, frames), x.none, shields.offenders[e], x.none)
-    return float(room.plans.margins[0])
+    shields, parameters, workspace = (
+        dereference(pointers.shields),
+        dereference(pointers.parameters),
+        dereference(pointers.workspace),
+    )
+    frames, x = set_stop_candidate(shields, parameters, e, shields.stored[e], workspace), parameters.numbers
+    scene = address_of(without_precautions(scene_of(shields, parameters, e)))
+    verify(pointers, scene, x.one, (x.one, frames), x.none, shields.offenders[e], x.none)
+    return float(workspace.plans.margins[0])
 
 
 @kernel_no_refcount
-def _fall_back(bench: BatchPointers, scene: Pointer[ClauseScene], e: int, k: int, speed: float) -> None:
+def _fall_back(pointers: BatchPointers, scene: Pointer[ClauseScene], e: int, k: int, speed: float) -> None:
     """Continue the stored plan while it clears the vehicles without a violation. With a violator, choose among the
     candidates that clear those vehicles the one that clears the violators longest."""
-    shields, law, room, records = (
-        dereference(bench.shields),
-        dereference(bench.law),
-        dereference(bench.room),
-        dereference(bench.records),
+    shields, parameters, workspace, records = (
+        dereference(pointers.shields),
+        dereference(pointers.parameters),
+        dereference(pointers.workspace),
+        dereference(pointers.records),
     )
-    offended, stored, plans, braking = violated(shields, e), shields.stored[e], room.plans, law.numbers.braking
+    offended, stored, plans, braking = (
+        violated(shields, e),
+        shields.stored[e],
+        workspace.plans,
+        parameters.numbers.braking,
+    )
     if stored != NO_INDEX:
-        judge_stored(bench, e)
+        stored_margin(pointers, e)
         margin, clause, vehicle = plans.margins[0], plans.clauses[0], plans.vehicles[0]
         if margin >= -ROUNDING or not offended:
             if offended:
-                found = evade(bench, scene, e, speed, offended)
+                found = evade(pointers, scene, e, speed, offended)
                 if plans.lawful[found] >= 0:
                     _keep(records, e, k, _EVADED, _NO_PLAN, plans.lanes[found], plans.accelerations[found])
-                    _note(records, e, k, room, found)
+                    _note(records, e, k, workspace, found)
                     shields.stored[e] = plans.fails[found]
                     return
             reason = _PRECAUTION if margin >= -ROUNDING and not offended else _NO_PLAN
             _keep(records, e, k, _STORED, reason, stored, -braking)
             records.margins[e, k], records.clauses[e, k], records.vehicles[e, k] = margin, clause, vehicle
             return
-    found = evade(bench, scene, e, speed, offended)
+    found = evade(pointers, scene, e, speed, offended)
     _keep(records, e, k, _LARGEST, _NO_PLAN, plans.lanes[found], plans.accelerations[found])
-    _note(records, e, k, room, found)
+    _note(records, e, k, workspace, found)
     shields.stored[e] = NO_INDEX
 
 
 @kernel_no_refcount
-def supervise(bench: BatchPointers, e: int, k: int) -> None:
+def supervise(pointers: BatchPointers, e: int, k: int) -> None:
     """Decide about frame `k` of a decision, into `records`. If its tier is not `PASSED`, a lane and an acceleration
     replace those of the ego's controllers."""
-    shields, law, worlds = dereference(bench.shields), dereference(bench.law), dereference(bench.worlds)
-    room, records = dereference(bench.room), dereference(bench.records)
-    lane, speed, braking = worlds.g[e, TARGET, 0], worlds.f[e, TARGET_SPEED, 0], law.numbers.braking
-    if not observe(bench, e):
+    shields, parameters, worlds = (
+        dereference(pointers.shields),
+        dereference(pointers.parameters),
+        dereference(pointers.worlds),
+    )
+    workspace, records = dereference(pointers.workspace), dereference(pointers.records)
+    lane, speed, braking = worlds.g[e, TARGET, 0], worlds.f[e, TARGET_SPEED, 0], parameters.numbers.braking
+    if not observe(pointers, e):
         stop = lane if shields.stored[e] == NO_INDEX else shields.stored[e]
         _keep(records, e, k, _EMERGENCY, _BAD_SCENE, stop, -braking)
         return
-    plans, fails, v = room.plans, room.marks[2], shields.ego[e, 3]
-    n, scene = fail_lanes(shields, law, e, lane, fails), address_of(scene_of(shields, law, e))
+    plans, fails, v = workspace.plans, workspace.marks[2], shields.ego[e, 3]
+    n, scene = fail_lanes(shields, parameters, e, lane, fails), address_of(scene_of(shields, parameters, e))
     for i in range(n):
         plans.lanes[i], plans.fails[i], plans.speeds[i] = lane, fails[i], speed
-    x = law.numbers
-    frames = frames_of(law, v, speed, x.one)
-    found = verify(bench, scene, n, (x.one, frames), x.none, room.nobody, x.one)
+    x = parameters.numbers
+    frames = frames_of(parameters, v, speed, x.one)
+    found = verify(pointers, scene, n, (x.one, frames), x.none, workspace.nobody, x.one)
     if found != NO_INDEX:
         _keep(records, e, k, _PASSED, _NONE, lane, 0.0)
-        _note(records, e, k, room, found)
+        _note(records, e, k, workspace, found)
         shields.stored[e] = plans.fails[found]
         clear_violators(shields, e)
         return
-    found = hold_back(bench, scene, e, lane, speed, law.numbers.none)
+    found = hold_back(pointers, scene, e, lane, speed, parameters.numbers.none)
     if found != NO_INDEX:
         _keep(records, e, k, _GOVERNED, _UNVERIFIED, plans.lanes[found], plans.accelerations[found])
-        _note(records, e, k, room, found)
+        _note(records, e, k, workspace, found)
         shields.stored[e] = plans.fails[found]
         clear_violators(shields, e)
         return
-    _fall_back(bench, scene, e, k, speed)
+    _fall_back(pointers, scene, e, k, speed)

@@ -20,10 +20,10 @@ __all__ = ["frames_of", "verify"]
 
 
 @kernel_inline
-def frames_of(law: BatchParameters, v: float, most: float, commit: int) -> int:
+def frames_of(parameters: BatchParameters, v: float, most: float, commit: int) -> int:
     """Number of frames after which every candidate stands that commits, at speed `v`, to at most `most` [m/s]; see
     `shield.certificate.road.manoeuvres.brake_candidates`."""
-    numbers = law.numbers
+    numbers = parameters.numbers
     decay = 1 - KP_SPEED * numbers.dt if commit == 1 else numbers.decay
     top = max(v, most + (v - most) * decay, 0.0)
     return commit + math.ceil(top / (numbers.braking * numbers.dt)) + 1
@@ -45,7 +45,7 @@ def _roll(
     target: StopTarget,
     dt: float,
     path: FloatArray,
-    desk: ClauseWorkspace,
+    clause_workspace: ClauseWorkspace,
     suspect: int,
     reached: int,
 ) -> bool:
@@ -54,14 +54,20 @@ def _roll(
 
     Parameters
     ----------
-    dt : frame [s]. desk : workspace of the clauses.
+    dt : frame [s]. clause_workspace : workspace of the clauses.
     suspect : vehicle that is checked during the rollout, or `NO_INDEX`. reached : first frame of this check.
 
     Returns
     -------
     False as soon as the candidate `_touches` the suspect.
     """
-    state, frames, turned, rears, table = scene.state, path.shape[0], desk.turned, desk.rears, scene.table
+    state, frames, turned, rears, table = (
+        scene.state,
+        path.shape[0],
+        clause_workspace.turned,
+        clause_workspace.rears,
+        scene.table,
+    )
     s, r, psi, v = state[0], state[1], state[2], state[3]
     sin, cos = math.sin(psi), math.cos(psi)
     for f in range(frames):
@@ -81,8 +87,8 @@ def _roll(
 
 @kernel_no_refcount
 def verify(
-    bench: BatchPointers,
-    lent: Pointer[ClauseScene],
+    pointers: BatchPointers,
+    scene_pointer: Pointer[ClauseScene],
     n: int,
     horizon: tuple[int, int],
     hold: int,
@@ -94,35 +100,49 @@ def verify(
 
     Parameters
     ----------
-    lent : the scene. horizon : number of frames of commitment to the target, and in total.
+    scene_pointer : the scene. horizon : number of frames of commitment to the target, and in total.
     hold, ignored : see `evaluate_path`.
 
     Returns
     -------
     The first candidate that verifies, or -1.
     """
-    scene, law, room = dereference(lent), dereference(bench.law), dereference(bench.room)
-    commit, frames, braking, dt = horizon[0], horizon[1], law.numbers.braking, law.numbers.dt
-    plans, desk, found, behind = room.plans, room.desk, NO_INDEX, scene.around.others.behind
+    scene, parameters, workspace = (
+        dereference(scene_pointer),
+        dereference(pointers.parameters),
+        dereference(pointers.workspace),
+    )
+    commit, frames, braking, dt = horizon[0], horizon[1], parameters.numbers.braking, parameters.numbers.dt
+    plans, clause_workspace, found, behind = (
+        workspace.plans,
+        workspace.clause_workspace,
+        NO_INDEX,
+        scene.around.others.behind,
+    )
     suspect, reached = NO_INDEX, 0
-    if first > 0 and hold == 0 and room.suspect[0] != NO_INDEX and desk.done[0, room.suspect[0]] >= frames:
-        suspect, reached = room.suspect[0], room.suspect[1]
-    if frames > room.path.shape[0]:
+    if (
+        first > 0
+        and hold == 0
+        and workspace.suspect[0] != NO_INDEX
+        and clause_workspace.done[0, workspace.suspect[0]] >= frames
+    ):
+        suspect, reached = workspace.suspect[0], workspace.suspect[1]
+    if frames > workspace.path.shape[0]:
         # The rollout is longer than the buffer: no candidate verifies.
         for i in range(n):
             plans.margins[i], plans.clear[i], plans.clauses[i], plans.vehicles[i] = -math.inf, 0, 0, NO_INDEX
-        desk.found[0] = 0
+        clause_workspace.found[0] = 0
         return NO_INDEX
-    path = room.path[:frames]
+    path = workspace.path[:frames]
     for i in range(n):
         lane, fail = plans.lanes[i], plans.fails[i]
-        target = StopTarget(law.centers[lane], law.centers[fail], plans.speeds[i], commit, braking)
+        target = StopTarget(parameters.centers[lane], parameters.centers[fail], plans.speeds[i], commit, braking)
         # The vehicle that the last candidate failed for is checked first, during the rollout.
-        if not _roll(scene, target, dt, path, desk, suspect, reached):
+        if not _roll(scene, target, dt, path, clause_workspace, suspect, reached):
             plans.margins[i] = -math.inf
             continue
-        plan = PlannedPath(path, desk.turned, lane, fail)
-        margin, clear, clause, vehicle = evaluate_path(plan, scene, hold, ignored, desk)
+        plan = PlannedPath(path, clause_workspace.turned, lane, fail)
+        margin, clear, clause, vehicle = evaluate_path(plan, scene, hold, ignored, clause_workspace)
         plans.margins[i], plans.clear[i], plans.clauses[i], plans.vehicles[i] = margin, clear, clause, vehicle
         if margin >= 0 and found == NO_INDEX:
             found = i
@@ -130,5 +150,5 @@ def verify(
                 return found
         if first > 0 and clause == SEPARATION_BINDS and margin < 0 and hold == 0 and not behind[vehicle]:
             suspect, reached = vehicle, clear
-            room.suspect[0], room.suspect[1] = vehicle, clear
+            workspace.suspect[0], workspace.suspect[1] = vehicle, clear
     return found

@@ -257,7 +257,7 @@ def _lost(made: DecisionData[Any], view: Any, at: Decision) -> LostGuarantee:
         return LostGuarantee.NOTHING  # a sequence of actions, verified for its horizon
     if _fail_safe_margin(made, view) >= -ROUNDING and at.tier in (Tier.STORED_PLAN, Tier.EVADED):
         return LostGuarantee.NOTHING
-    without = replace(view, survey=view.survey.without_cut_ins())
+    without = replace(view, verifier=view.verifier.without_cut_ins())
     if any(each.plan.verified for each in made.procedure.plans(without, made.proposal)):
         return LostGuarantee.PRECAUTION
     if at.tier is Tier.STORED_PLAN and _fail_safe_margin(made, without) >= -ROUNDING:
@@ -270,6 +270,6 @@ def _fail_safe_margin(made: DecisionData[Any], now: ObservedScene) -> float:
     if not isinstance(now.memory.stored, int):
         return -np.inf
     if isinstance(made.procedure, InputPipeline):
-        law = made.procedure.execution.law(now.scene, now.memory.stored)[None]
-        return float(made.procedure.judge(now, law, [now.memory.stored]).margin[0])
+        fail_safe_inputs = made.procedure.execution.fail_safe_inputs(now.scene, now.memory.stored)[None]
+        return float(made.procedure.judge(now, fail_safe_inputs, [now.memory.stored]).margin[0])
     return now.fail_safe().margin

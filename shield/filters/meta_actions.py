@@ -160,8 +160,8 @@ class MetaActionFilter:
             # The decision has just verified this frame, with the same target command.
             return None, passed[0]
         scene = read(self.reader)
-        blind = Target(int(self._base.vehicle.lane_index[2]), 0.0)
-        target = blind if isinstance(scene, Unreadable) else scene.control.target
+        stopping_target = Target(int(self._base.vehicle.lane_index[2]), 0.0)
+        target = stopping_target if isinstance(scene, Unreadable) else scene.control.target
         decision = self._rated(self.core.decide(scene, target, self._frames), scene)
         return (None if decision.tier is Tier.PASSED else decision.executed), decision
 

@@ -48,8 +48,8 @@ class EnvironmentFreeScenes:
         self._perception = perception_of(known.spec, known.road, timing, settings)
         self._rollouts = Rollouts(known.dt, known.road)
         # Estimated noise is unknown so far; the ego's own row is mostly exact.
-        told = known.noise if settings.noise == "estimate" else settings.noise
-        blurred = np.zeros(4) if told is None else np.asarray(told, dtype=float)
+        assumed = known.noise if settings.noise == "estimate" else settings.noise
+        blurred = np.zeros(4) if assumed is None else np.asarray(assumed, dtype=float)
         self._astray = _STATE_TOLERANCE + _SIGMAS * np.array([blurred[1], np.hypot(*blurred[2:])])
         self.check()
 

@@ -30,11 +30,11 @@ _DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
 
 
 def predict_state(
-    means: FloatArray, covariances: FloatArray, course: StateTransition, pushed: FloatArray, centers: FloatArray
+    means: FloatArray, covariances: FloatArray, transition: StateTransition, pushed: FloatArray, centers: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """See `filters.predict_state`."""
     means, covariances = means.copy(), covariances.copy()
-    _move(means, covariances, course, pushed, centers)
+    _move(means, covariances, transition, pushed, centers)
     return means, covariances
 
 
@@ -43,14 +43,14 @@ def predict(
     means: FloatArray,
     covariances: FloatArray,
     changes: FloatArray,
-    course: StateTransition,
+    transition: StateTransition,
     pushed: FloatArray,
     centers: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """See `filters.predict`."""
     after, mixed, spread = np.empty_like(chances), np.empty_like(means), np.empty_like(covariances)
     _begin(chances, means, covariances, changes, after, mixed, spread)
-    _move(mixed, spread, course, pushed, centers)
+    _move(mixed, spread, transition, pushed, centers)
     return after, mixed, spread
 
 
@@ -160,23 +160,23 @@ def _begin(
 
 @kernel_no_refcount
 def _move(
-    means: FloatArray, covariances: FloatArray, course: StateTransition, pushed: FloatArray, centers: FloatArray
+    means: FloatArray, covariances: FloatArray, transition: StateTransition, pushed: FloatArray, centers: FloatArray
 ) -> None:
     for a in range(len(means)):
         for j in range(3):
             mean, p = means[a, j], covariances[a, j]
             y, across = mean[1], p[1, 1]
-            mean[0] += course.reach * mean[2] + course.along
-            mean[1] += course.dt * mean[3]
-            mean[2] = course.keep * mean[2] + course.faster
+            mean[0] += transition.reach * mean[2] + transition.along
+            mean[1] += transition.dt * mean[3]
+            mean[2] = transition.keep * mean[2] + transition.faster
             for i in range(4):
-                p[0, i] += course.reach * p[2, i]
-                p[1, i] += course.dt * p[3, i]
-                p[2, i] *= course.keep
+                p[0, i] += transition.reach * p[2, i]
+                p[1, i] += transition.dt * p[3, i]
+                p[2, i] *= transition.keep
             for i in range(4):
-                p[i, 0] += course.reach * p[i, 2]
-                p[i, 1] += course.dt * p[i, 3]
-                p[i, 2] *= course.keep
+                p[i, 0] += transition.reach * p[i, 2]
+                p[i, 1] += transition.dt * p[i, 3]
+                p[i, 2] *= transition.keep
             for i in range(4):
                 for k in range(4):
                     p[i, k] += pushed[j, i, k]
@@ -185,11 +185,11 @@ def _move(
                 for center in centers:
                     if abs(y - center) < abs(y - middle):
                         middle = center
-                mean[1], mean[3] = middle + course.left * (y - middle), 0.0
+                mean[1], mean[3] = middle + transition.left * (y - middle), 0.0
                 for i in range(4):
                     p[1, i] = p[i, 1] = p[3, i] = p[i, 3] = 0.0
-                p[1, 1] = course.left * course.left * across + course.stray
-                p[3, 3] = course.sway
+                p[1, 1] = transition.left * transition.left * across + transition.stray
+                p[3, 3] = transition.sway
 
 
 @kernel_inline
@@ -287,9 +287,9 @@ def _take_in(
         a, b = rows[pair], columns[pair]
         best = -math.inf
         for j in range(3):
-            likely = math.log(chances[a, j]) - 0.5 * (away[a, j, b] + size[a, j])
-            chances[a, j] = likely
-            best = max(best, likely)
+            log_weight = math.log(chances[a, j]) - 0.5 * (away[a, j, b] + size[a, j])
+            chances[a, j] = log_weight
+            best = max(best, log_weight)
         total = 0.0
         for j in range(3):
             chances[a, j] = math.exp(chances[a, j] - best) + LEAST

@@ -87,7 +87,7 @@ class Matches(NamedTuple):
 
 
 def predict_state(
-    means: FloatArray, covariances: FloatArray, course: StateTransition, pushed: FloatArray, centers: FloatArray
+    means: FloatArray, covariances: FloatArray, transition: StateTransition, pushed: FloatArray, centers: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Means and covariances one step later.
 
@@ -96,18 +96,18 @@ def predict_state(
     pushed : process noise of each filter, from its accelerations, (3, 4, 4).
     centers : lane centres along y, (lanes,) [m]. The first filter is drawn to the nearest; without centres it is not.
     """
-    step = np.diag([1.0, 1.0, course.keep, 1.0])
-    step[0, 2], step[1, 3] = course.reach, course.dt
+    step = np.diag([1.0, 1.0, transition.keep, 1.0])
+    step[0, 2], step[1, 3] = transition.reach, transition.dt
     after, spread = means @ step.T, step @ covariances @ step.T + pushed
-    after[..., 0] += course.along
-    after[..., 2] += course.faster
+    after[..., 0] += transition.along
+    after[..., 2] += transition.faster
     if centers.size and len(means):
         y = means[:, 0, 1]
         middle = centers[np.abs(y[:, None] - centers).argmin(axis=1)]
-        after[:, 0, 1], after[:, 0, 3] = middle + course.left * (y - middle), 0.0
+        after[:, 0, 1], after[:, 0, 3] = middle + transition.left * (y - middle), 0.0
         spread[:, 0, [1, 3], :] = spread[:, 0, :, [1, 3]] = 0.0
-        spread[:, 0, 1, 1] = course.left**2 * covariances[:, 0, 1, 1] + course.stray
-        spread[:, 0, 3, 3] = course.sway
+        spread[:, 0, 1, 1] = transition.left**2 * covariances[:, 0, 1, 1] + transition.stray
+        spread[:, 0, 3, 3] = transition.sway
     return after, spread
 
 
@@ -116,7 +116,7 @@ def predict(
     means: FloatArray,
     covariances: FloatArray,
     changes: FloatArray,
-    course: StateTransition,
+    transition: StateTransition,
     pushed: FloatArray,
     centers: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -131,7 +131,7 @@ def predict(
     led = np.swapaxes(chances[:, :, None] * changes / after[:, None, :], 1, 2)
     begun = [mixture(led[:, j], means, covariances) for j in range(chances.shape[1])]
     mixed, spread = (np.stack(each, axis=1) for each in zip(*begun, strict=True))
-    return after, *predict_state(mixed, spread, course, pushed, centers)
+    return after, *predict_state(mixed, spread, transition, pushed, centers)
 
 
 def mixture(chances: FloatArray, means: FloatArray, covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -183,9 +183,9 @@ def measurement_update(
     """
     chances, means, covariances = (each.copy() for each in expected)
     (away, size), (rows, columns) = apart, pairs
-    likely = np.log(chances[rows]) - 0.5 * (away[rows, :, columns] + size[rows])
-    likely = np.exp(likely - likely.max(axis=1, keepdims=True, initial=-np.inf)) + LEAST
-    chances[rows] = likely / likely.sum(axis=1, keepdims=True)
+    weights = np.log(chances[rows]) - 0.5 * (away[rows, :, columns] + size[rows])
+    weights = np.exp(weights - weights.max(axis=1, keepdims=True, initial=-np.inf)) + LEAST
+    chances[rows] = weights / weights.sum(axis=1, keepdims=True)
     before = covariances[rows]
     gain = np.swapaxes(np.linalg.solve(before + noise, before), -1, -2)
     rest = np.eye(4) - gain

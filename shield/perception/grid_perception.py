@@ -123,7 +123,7 @@ class GridPerception:
         if frame != self._frame:
             self._take_in(low, high, ego, 0.0 if self._frame is None else (frame - self._frame) * self._timing[0])
             self._frame = frame
-            self._look_around(sighting, r, heading)
+            self._mark_sensed_area(sighting, r, heading)
         rows = self._bodies(low, high, float(ego[_X]))
         unseen, to_road = self.config.unseen, self._road.to_road
         ghosts = np.concatenate(
@@ -187,7 +187,7 @@ class GridPerception:
         self._passed, self._ego_speed = passed, float(_velocity(ego)[0])
         self._ids, self._low, self._high = ids, low, high
 
-    def _look_around(self, sighting: DecodedGrid, r: float, heading: float) -> None:
+    def _mark_sensed_area(self, sighting: DecodedGrid, r: float, heading: float) -> None:
         """Update the edges of sight, and the vehicles that may be beyond the edge behind.
 
         Parameters

@@ -3,12 +3,13 @@
 Notation
 --------
 y, v : lateral position [m] and lateral speed [m/s] of a vehicle, normally distributed in each of the tracker's three
-    models (calm, free and brisk; see `shield.perception.tracking`).
+    models (lane-keeping, free and manoeuvring; see `shield.perception.tracking`).
 
-A *free* or *brisk* vehicle is changing lanes. It moves on for a while, and settles in the lane around y + reach v, with
-the deviation `stray`. highway-env's own vehicles steer by v = (goal - y) / 0.6 s, with a delayed heading. A *calm*
-vehicle is in its present lane until it begins a change. Most vehicles change soon if the change has a lane-change
-incentive and the new follower need not brake too hard (MOBIL, see `dynamics.traffic.mobil`); few change otherwise.
+A *free* or *manoeuvring* vehicle is changing lanes. It moves on for a while, and settles in the lane around y + reach
+v, with the deviation `stray`. highway-env's own vehicles steer by v = (goal - y) / 0.6 s, with a delayed heading. A
+*lane-keeping* vehicle is in its present lane until it begins a change. Most vehicles change soon if the change has a
+lane-change incentive and the new follower need not brake too hard (MOBIL, see `dynamics.traffic.mobil`); few change
+otherwise.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from shield.perception.tracking import Tracks
 
 __all__ = ["LANE_CHANGE_MODEL", "LaneChangeModel", "lane_chances", "lane_change_gains"]
 
-_CALM = 0
+_LANE_KEEPING = 0
 _X, _Y, _VX, _VY = range(4)
 _DRAWS = 16
 """Number of samples of all states, for the probability that a change has an incentive."""
@@ -42,12 +43,12 @@ class LaneChangeModel(NamedTuple):
     ----------
     reach : time after which a vehicle that is changing lanes settles, at its present lateral speed [s].
     stray : standard deviation of its distance from there [m].
-    eager : probability that a calm vehicle has changed lanes by the end of the prediction, where that has an incentive,
-        for an exactly known position.
+    eager : probability that a lane-keeping vehicle has changed lanes by the end of the prediction, where that has an
+        incentive, for an exactly known position.
     idle : the same where it has no incentive.
     fade : longitudinal standard deviation at which `eager` is halved: an incentive from uncertain positions is often an
         error [m].
-    doubt : probability that a vehicle which seems to change lanes is calm.
+    doubt : probability that a vehicle which seems to change lanes keeps its lane.
     """
 
     reach: float
@@ -90,7 +91,7 @@ def lane_chances(
     # If both changes have an incentive, highway-env's vehicles choose the lane above.
     stays = _changed(_in_lanes(y, np.sqrt(spread), centers), below * (1 - above), above)
     moves = (1 - habits.doubt) * then + habits.doubt * stays
-    moves[:, _CALM] = stays[:, _CALM]
+    moves[:, _LANE_KEEPING] = stays[:, _LANE_KEEPING]
     found: FloatArray = np.einsum("nj,njk->nk", tracks.chances, moves)
     return found
 
@@ -122,13 +123,13 @@ def lane_change_gains(tracks: Tracks, ego: FloatArray, centers: FloatArray) -> F
     ahead[:, np.arange(n), np.arange(n)] = np.nan  # no vehicle is its own leader
     own = np.abs(y[:, :n, None] - centers).argmin(axis=2)
     around = np.concatenate([[np.nan], centers, [np.nan]])
-    now = _held_up(v[:, :n], *_next(ahead, v, _is_in(y, around[own + 1])))
+    now = _gap_ratio(v[:, :n], *_next(ahead, v, _is_in(y, around[own + 1])))
     found = []
     for side in (0, 2):
         lane = _is_in(y, around[own + side])
-        then, back = _held_up(v[:, :n], *_next(ahead, v, lane)), _next(-ahead, v, lane)
+        then, back = _gap_ratio(v[:, :n], *_next(ahead, v, lane)), _next(-ahead, v, lane)
         behind = back[1]
-        imposed = np.where(np.isfinite(back[0]), _held_up(behind, back[0], v[:, :n]), 0.0)
+        imposed = np.where(np.isfinite(back[0]), _gap_ratio(behind, back[0], v[:, :n]), 0.0)
         there = ~np.isnan(around[own + side])
         pays = (COMFORT * (now**2 - then**2) >= _LEAST_GAIN) & (COMFORT * imposed**2 <= _MOST_BRAKING)
         found.append((pays & there).mean(axis=0))
@@ -155,7 +156,7 @@ def _next(ahead: FloatArray, v: FloatArray, counts: BoolArray) -> tuple[FloatArr
     return np.take_along_axis(away, nearest[:, :, None], 2)[:, :, 0], np.take_along_axis(v, nearest, 1)
 
 
-def _held_up(v: FloatArray, gap: FloatArray, leader: FloatArray) -> FloatArray:
+def _gap_ratio(v: FloatArray, gap: FloatArray, leader: FloatArray) -> FloatArray:
     """IDM's d* / d of a vehicle at speed v behind a leader."""
     return (GAP + TIME * v + v * (v - leader) / TWICE_ROOT) / np.maximum(gap, 1e-2)
 

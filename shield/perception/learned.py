@@ -112,13 +112,13 @@ class Conformal:
     @property
     def bounds(self) -> FloatArray:
         """Bounds below and above, for each of x, y, vx and vy, (2, 4), from 0 to `SCORE_LIMIT` standard deviations."""
-        shares = self.counts.cumsum(axis=1) / self.counts.sum(axis=1, keepdims=True)
+        cumulative = self.counts.cumsum(axis=1) / self.counts.sum(axis=1, keepdims=True)
         found = np.empty((2, 4))
         for k in range(4):
             below, above = self.levels[:, k]
             # Conservative rounding: the outer edge of the bin.
-            found[0, k] = -_EDGES[np.searchsorted(shares[k], below, side="right")] if below > 0 else SCORE_LIMIT
-            at = np.searchsorted(shares[k], 1.0 - above, side="left") + 1 if above > 0 else _BINS
+            found[0, k] = -_EDGES[np.searchsorted(cumulative[k], below, side="right")] if below > 0 else SCORE_LIMIT
+            at = np.searchsorted(cumulative[k], 1.0 - above, side="left") + 1 if above > 0 else _BINS
             found[1, k] = _EDGES[min(at, _BINS)]
         return np.clip(found, 0.0, SCORE_LIMIT)
 

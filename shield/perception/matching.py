@@ -73,25 +73,25 @@ class Assignment(NamedTuple):
 
 
 def apply_gate(
-    pairs: CandidatePairs, gate: float, patience: int, last: LastObservation, observed: ObservedVehicles
+    pairs: CandidatePairs, gate: float, missed_limit: int, last: LastObservation, observed: ObservedVehicles
 ) -> Assignment:
     """Apply the gate to an assignment of tracks to observed vehicles.
 
     Parameters
     ----------
     gate : greatest squared distance of a match.
-    patience : consecutive observations that a vehicle may be missing from. last : of the tracks.
+    missed_limit : consecutive observations that a vehicle may be missing from. last : of the tracks.
     """
     kept, innovation = np.empty((2, len(pairs.rows)), np.intp), np.empty(len(last.missed))
     unknown = np.empty(len(observed.at), np.bool_)
     found = _Found(kept, last.missed + 1, last.places.copy(), last.seen.copy(), innovation, unknown)
-    count, whole = _settle(pairs, gate, patience, observed, found)
+    count, whole = _settle(pairs, gate, missed_limit, observed, found)
     return Assignment(kept[0, :count], kept[1, :count], *found[1:], whole)
 
 
 @kernel_no_refcount
 def _settle(
-    candidates: CandidatePairs, gate: float, patience: int, observed: ObservedVehicles, found: _Found
+    candidates: CandidatePairs, gate: float, missed_limit: int, observed: ObservedVehicles, found: _Found
 ) -> tuple[int, bool]:
     """Fill in the pairs, and the values of each track and observed vehicle. Return the number of pairs, and
     `Assignment.whole`."""
@@ -113,7 +113,7 @@ def _settle(
         for k in range(4):
             shown[a, k] = seen[b, k]
     for a in range(len(missed)):
-        whole = whole and missed[a] <= patience
+        whole = whole and missed[a] <= missed_limit
     for b in range(len(unknown)):
         whole = whole and not unknown[b]
     return count, whole

@@ -68,13 +68,16 @@ class ObservationPerception:
         self.config = PerceptionConfig() if config is None else config
         self._before = _unlearned(self.config) if learned is None else learned
         self.learned = self._before
-        told: Any = RESOLUTION if self.config.noise in (None, "estimate") else self.config.noise
-        self._told = np.maximum(told, RESOLUTION)
+        assumed: Any = RESOLUTION if self.config.noise in (None, "estimate") else self.config.noise
+        self._assumed_noise = np.maximum(assumed, RESOLUTION)
         self._usual = np.full((2, 4), float(self.config.bound))
         self._watched = self.config.monitor or self.learned.noise is not None or self.learned.conformal is not None
         centers = road.centers + road.origin[1]
         self._motions = MotionModels(
-            self.config.lane_keeping, brisk=self.config.manoeuvring, centers=centers, cruise=self.config.usual_speed
+            self.config.lane_keeping,
+            manoeuvring=self.config.manoeuvring,
+            centers=centers,
+            usual_speed=self.config.usual_speed,
         )
         usual = 0 if self.config.noise is None else _MISSED_LIMIT
         self._missed_limit = usual if self.config.missed_limit is None else self.config.missed_limit
@@ -114,7 +117,7 @@ class ObservationPerception:
     def noise(self) -> FloatArray:
         """Standard deviations of the observed x, y [m], vx and vy [m/s], (4,): as configured, or as estimated so
         far."""
-        return self._told if self.learned.noise is None else self.learned.noise.sigma
+        return self._assumed_noise if self.learned.noise is None else self.learned.noise.sigma
 
     @property
     def bounds(self) -> FloatArray:
@@ -142,7 +145,7 @@ class ObservationPerception:
         """
         if not self._egos or frame != self._egos[-1][0]:
             sighting = decode(self.spec, observation)
-            self._look(sighting, *self._move(sighting, frame))
+            self._observe(sighting, *self._move(sighting, frame))
         return self._scene(control)
 
     def _move(self, sighting: DecodedObservation, frame: int) -> tuple[FloatArray, float]:
@@ -166,7 +169,7 @@ class ObservationPerception:
         """Frame at which the vehicles of the last observation were seen."""
         return self._egos[0][0]
 
-    def _look(self, sighting: DecodedObservation, then: FloatArray, passed: float) -> None:
+    def _observe(self, sighting: DecodedObservation, then: FloatArray, passed: float) -> None:
         """Update tracks, edges and unseen vehicles with an observation that was made when the ego was at `then`,
         (7,)."""
         states, now, before = sighting.others.copy(), self._egos[-1][1], _cartesian(then)
@@ -249,7 +252,7 @@ class ObservationPerception:
         spec, road, (far, back) = self.spec, self._road, self.edges
         unseen, pool = self.config.unseen, self.behind
         if self.alarmed:
-            unseen, pool = Unseen.worst(), UnseenBehind(stranger=-back)
+            unseen, pool = Unseen.worst(), UnseenBehind(nearest_unseen=-back)
         behind = pool.states(unseen, road, ego, spec.distance)
         if far >= spec.distance:
             return behind

@@ -5,9 +5,10 @@ Notation
 State of a vehicle: x [m], y [m], vx, vy [m/s] in the world frame. Lanes lie along x. From one observation to the next a
 vehicle follows one of three motion models, between which it changes at random:
 
-- *calm*: it keeps its velocity along x, with white-noise acceleration, and is drawn to the centre of the nearest lane;
+- *lane keeping*: it keeps its velocity along x, with white-noise acceleration, and is drawn to the centre of the
+nearest lane;
 - *free*: it keeps its velocity along and across the road, with white-noise accelerations;
-- *brisk*: both accelerations are large. In frames of 0.2 s highway-env's vehicles oscillate by 1 m as they change
+- *manoeuvring*: both accelerations are large. In frames of 0.2 s highway-env's vehicles oscillate by 1 m as they change
   lanes.
 
 In all models the speed approaches the usual speed of traffic slowly. Each vehicle has an estimate for each model, and
@@ -59,18 +60,18 @@ class MotionModels(NamedTuple):
 
     Attributes
     ----------
-    calm, free, brisk : standard deviations of the accelerations along x and y [m/s^2].
-    centers : lane centres along y, (lanes,) [m]. Without them, a calm vehicle keeps its lateral velocity.
-    cruise : usual speed along the road, its standard deviation [m/s], and the time constant of the approach [s] (an
-        Ornstein-Uhlenbeck process). It has an effect only where the sensor is imprecise.
+    lane_keeping, free, manoeuvring : standard deviations of the accelerations along x and y [m/s^2].
+    centers : lane centres along y, (lanes,) [m]. Without them, a lane-keeping vehicle keeps its lateral velocity.
+    usual_speed : usual speed along the road, its standard deviation [m/s], and the time constant of the approach [s]
+        (an Ornstein-Uhlenbeck process). It has an effect only where the sensor is imprecise.
     sideways : prior standard deviation of the lateral velocity of a new vehicle [m/s].
     """
 
-    calm: tuple[float, float] = (2.0, 1.0)
+    lane_keeping: tuple[float, float] = (2.0, 1.0)
     free: tuple[float, float] = (2.0, 3.0)
-    brisk: tuple[float, float] = (4.0, 20.0)
+    manoeuvring: tuple[float, float] = (4.0, 20.0)
     centers: FloatArray | None = None
-    cruise: tuple[float, float, float] = (21.0, 2.5, 10.0)
+    usual_speed: tuple[float, float, float] = (21.0, 2.5, 10.0)
     sideways: float = 1.5
 
 
@@ -105,8 +106,8 @@ class Tracks:
     Attributes
     ----------
     ids : identity of each, (n,); no identity is used twice.
-    means, covariances : of each model, calm, free and brisk, (n, 3, 4) and (n, 3, 4, 4). chances : of each model, (n,
-        3).
+    means, covariances : of each model, lane keeping, free and manoeuvring, (n, 3, 4) and (n, 3, 4, 4). chances : of
+        each model, (n, 3).
     missed : number of consecutive observations that each was missing from, (n,).
     places : row in which each was last seen, (n,); NaN where rows carry no information.
     next_id : identity of the next new vehicle.
@@ -144,7 +145,7 @@ def update_tracks(
     noise: FloatArray,
     dt: float,
     motions: MotionModels,
-    patience: int = 0,
+    missed_limit: int = 0,
     places: IntArray | None = None,
     watched: bool = False,
 ) -> Tracks:
@@ -155,15 +156,15 @@ def update_tracks(
     tracks : before it. seen : observed states, (m, 4), in any order.
     noise : covariance of an observed state, (4, 4). dt : time since the previous observation [s].
     motions : parameters of the motion models.
-    patience : consecutive observations that a vehicle may be missing from.
+    missed_limit : consecutive observations that a vehicle may be missing from.
     places : rows of the observed vehicles, (m,), where rows are sorted by distance; None where they carry no
         information.
     watched : whether to fill in `Tracks.surprise`.
     """
     at = np.full(len(seen), np.nan) if places is None else places.astype(float)
-    changes, course, pushed, centers = _prediction_parameters(dt, motions)
+    changes, transition, pushed, centers = _prediction_parameters(dt, motions)
     before = tracks.chances, tracks.means, tracks.covariances
-    chances, means, covariances = filters.predict(*before, changes, course, pushed, centers)
+    chances, means, covariances = filters.predict(*before, changes, transition, pushed, centers)
     away, size = filters.distances(means, covariances, seen, noise)
     least, cost = filters.costs(away, tracks.places, at)
     rows, columns = linear_sum_assignment(cost)
@@ -175,14 +176,14 @@ def update_tracks(
         found = filters.scores(chances, means, covariances, seen, noise, *pair)
         surprise = Innovations(apart[near], found, _steps(tracks, seen, dt, *pair))
     last, observed = LastObservation(tracks.missed, tracks.places, tracks.seen), ObservedVehicles(at, seen)
-    pairs = apply_gate(CandidatePairs(rows, columns, apart), _GATE, patience, last, observed)
+    pairs = apply_gate(CandidatePairs(rows, columns, apart), _GATE, missed_limit, last, observed)
     expected, same = Mixtures(chances, means, covariances), Matches(pairs.rows, pairs.columns)
     chances, means, covariances = filters.measurement_update(expected, seen, noise, (away, size), same)
     about = pairs.missed, pairs.places, tracks.next_id, pairs.innovation, pairs.seen, surprise
     everybody = Tracks(tracks.ids, means, covariances, chances, *about)
     if pairs.whole:
         return everybody
-    kept, unknown = pairs.missed <= patience, pairs.unknown
+    kept, unknown = pairs.missed <= missed_limit, pairs.unknown
     return _joined(everybody, kept, _newcomers(tracks.next_id, seen[unknown], at[unknown], noise, motions))
 
 
@@ -225,7 +226,7 @@ def _initial_estimate(seen: FloatArray, noise: FloatArray, motions: MotionModels
     The noise of a velocity is taken to be uncorrelated with the other components.
     """
     mean, about = seen.copy(), noise.copy()
-    for k, (usual, spread) in ((2, motions.cruise[:2]), (3, (0.0, motions.sideways))):
+    for k, (usual, spread) in ((2, motions.usual_speed[:2]), (3, (0.0, motions.sideways))):
         seen_by = noise[k, k]
         about[k, k] = seen_by * spread**2 / (seen_by + spread**2)
         mean[:, k] += seen_by / (seen_by + spread**2) * (usual - seen[:, k])
@@ -245,14 +246,16 @@ def bounds_of(tracks: Tracks, bound: float | FloatArray) -> tuple[FloatArray, Fl
 
 
 def predict_tracks(tracks: Tracks, late: float, motions: MotionModels) -> Tracks:
-    """Prediction of the tracks, `late` [s] after the last observation. Calm vehicles stay calm, and all others are
-    free, because no vehicle oscillates for so long."""
+    """Prediction of the tracks, `late` [s] after the last observation. Lane-keeping vehicles keep their lane, and all
+    others are free, because no vehicle oscillates for so long."""
     if not late or not len(tracks.ids):
         return tracks
     share = math.sqrt(min(_FRAME / late, 1.0))
-    calm, free = ((share * a, share * b) for a, b in (motions.calm, motions.free))
-    _, course, pushed, centers = _prediction_parameters(late, motions._replace(calm=calm, free=free, brisk=free))
-    means, covariances = filters.predict_state(tracks.means, tracks.covariances, course, pushed, centers)
+    lane_keeping, free = ((share * a, share * b) for a, b in (motions.lane_keeping, motions.free))
+    _, transition, pushed, centers = _prediction_parameters(
+        late, motions._replace(lane_keeping=lane_keeping, free=free, manoeuvring=free)
+    )
+    means, covariances = filters.predict_state(tracks.means, tracks.covariances, transition, pushed, centers)
     return replace(tracks, means=means, covariances=covariances)
 
 
@@ -262,18 +265,18 @@ def _prediction_parameters(
     """Parameters of a prediction step: transition probabilities, (3, 3), deterministic part, process noise of each
     filter, (3, 4, 4), and lane centres."""
     centers = np.zeros(0) if motions.centers is None else motions.centers
-    modes = motions.calm, motions.free, motions.brisk
-    return _changes(dt), _course(dt, motions.cruise), _pushed(dt, modes), centers
+    modes = motions.lane_keeping, motions.free, motions.manoeuvring
+    return _changes(dt), _transition(dt, motions.usual_speed), _pushed(dt, modes), centers
 
 
 @lru_cache(maxsize=16)
-def _course(dt: float, usual: tuple[float, float, float]) -> StateTransition:
-    """Deterministic part of a step. `usual` is `MotionModels.cruise`."""
-    cruise, _, slowly = usual
+def _transition(dt: float, usual: tuple[float, float, float]) -> StateTransition:
+    """Deterministic part of a step. `usual` is `MotionModels.usual_speed`."""
+    usual_speed, _, slowly = usual
     keep, left = math.exp(-dt / slowly), math.exp(-dt / _SETTLING)
     reach = slowly * (1 - keep)
     stray, sway = (1 - left**2) * _LATERAL_WANDER**2, (_LATERAL_WANDER / _SETTLING) ** 2 + 1e-2
-    return StateTransition(dt, keep, reach, cruise * (dt - reach), cruise * (1 - keep), left, stray, sway)
+    return StateTransition(dt, keep, reach, usual_speed * (dt - reach), usual_speed * (1 - keep), left, stray, sway)
 
 
 @lru_cache(maxsize=16)

@@ -132,12 +132,12 @@ class UnseenBehind:
     ----------
     passed : vehicles that the ego has passed, (n, 4): greatest position relative to the ego [m], lateral position [m],
         speed and greatest future speed [m/s].
-    stranger : greatest position of a vehicle never seen, relative to the ego, below 0 [m]; NaN before the first
+    nearest_unseen : greatest position of a vehicle never seen, relative to the ego, below 0 [m]; NaN before the first
         observation.
     """
 
     passed: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))
-    stranger: float = float("nan")
+    nearest_unseen: float = float("nan")
 
     def go_on(
         self, unseen: Unseen, back: float, ego_speed: float, passed: float, lost: FloatArray, new: FloatArray
@@ -150,13 +150,13 @@ class UnseenBehind:
         lost, new : vehicles that went out of sight, and that came into sight, (n, 3): distance ahead of the ego [m],
             lateral position [m], and speed along the road [m/s].
         """
-        if np.isnan(self.stranger):
-            self.stranger = -unseen.clear_behind
+        if np.isnan(self.nearest_unseen):
+            self.nearest_unseen = -unseen.clear_behind
         else:
-            self.stranger += (unseen.fastest - ego_speed) * passed
+            self.nearest_unseen += (unseen.fastest - ego_speed) * passed
         pool = self.passed
         if not (len(pool) or len(lost)):
-            self.stranger = min(self.stranger, -back)
+            self.nearest_unseen = min(self.nearest_unseen, -back)
             return
         pool[:, 2] = np.minimum(pool[:, 2] + unseen.acceleration * passed, pool[:, 3])
         pool[:, 0] += (pool[:, 2] - ego_speed) * passed
@@ -168,14 +168,14 @@ class UnseenBehind:
         if len(gone):
             pool = np.concatenate([pool, np.column_stack([gone, gone[:, 2] + unseen.speed_gain])])
         # A nearer vehicle would be seen.
-        self.stranger = min(self.stranger, -back)
+        self.nearest_unseen = min(self.nearest_unseen, -back)
         pool[:, 0] = np.minimum(pool[:, 0], -back)
         self.passed = pool
 
     def states(self, unseen: Unseen, road: Any, ego: FloatArray, reach: float) -> FloatArray:
         """Road states of vehicles that may be behind, (n, 4), at most `reach` behind the ego [m]."""
         s, lanes = float(ego[RoadState.S]), road.centers
-        rows = [(s + self.stranger, r, 0.0, unseen.fastest) for r in lanes if self.stranger > -reach]
+        rows = [(s + self.nearest_unseen, r, 0.0, unseen.fastest) for r in lanes if self.nearest_unseen > -reach]
         beside = (1.5 if unseen.may_change_lanes else 0.5) * road.width
         rows += [
             (s + gap, center, 0.0, speed)

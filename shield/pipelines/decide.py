@@ -206,7 +206,7 @@ def _decided(
     stored = None if tier is Tier.LARGEST_MARGIN else plan.stored
     watch = memory.watch.forgiven() if tier.verified else memory.watch
     predicted = memory.plan if plan.predicted is None else plan.predicted
-    memory = Memory(memory.frame, stored, memory.survey, watch, predicted, plan.entered)
+    memory = Memory(memory.frame, stored, memory.verifier, watch, predicted, plan.entered)
     latency, (clause, vehicle) = perf_counter() - start, (plan.binding.clause, plan.binding.vehicle)
     record = plan.margin, latency, plan.path, plan.occupancy, clause, vehicle
     return Decision(proposal, plan.action, one.reason, tier, *record, source=source), memory

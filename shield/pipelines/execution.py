@@ -42,7 +42,7 @@ class Execution(Protocol):
     def stops(self, scene: Scene, began: FloatArray, fails: Any) -> FloatArray:
         """Paths (n, h, 4), each followed by its fail-safes in lanes `fails` (n k,): (n k, h + frames, 4)."""
 
-    def law(self, scene: Scene, lane: int) -> FloatArray:
+    def fail_safe_inputs(self, scene: Scene, lane: int) -> FloatArray:
         """Inputs of the fail-safe's next step (2,): brake, and steer to the lane's centre."""
 
 
@@ -70,7 +70,7 @@ class EveryFrame:
         rollouts = Rollouts(scene.dt, scene.road)
         return rollouts.stop(began, scene.road.centers[fails], self.config.braking, frames)
 
-    def law(self, scene: Scene, lane: int) -> FloatArray:
+    def fail_safe_inputs(self, scene: Scene, lane: int) -> FloatArray:
         """Braking at `config.braking`, or less if that suffices to stop."""
         return _brake(scene, lane, self.config.braking, scene.dt)
 
@@ -108,10 +108,10 @@ class EveryDecision:
         stops[:, 0] = scene.road.centers[fails]
         stops[:, 1], stops[:, 2] = braking if self._can_stop else 0.0, self._wheel
         began = np.repeat(began, len(fails) // len(began), axis=0)
-        held = BrakingRollouts(scene.dt, self.frames, scene.road)
-        return np.concatenate([began, held.run(began[:, -1], stops, periods)], axis=1)
+        repeated = BrakingRollouts(scene.dt, self.frames, scene.road)
+        return np.concatenate([began, repeated.run(began[:, -1], stops, periods)], axis=1)
 
-    def law(self, scene: Scene, lane: int) -> FloatArray:
+    def fail_safe_inputs(self, scene: Scene, lane: int) -> FloatArray:
         """Braking within the range of the throttle, the wheel within its range."""
         brake, wheel = _brake(scene, lane, self.config.braking, self.frames * scene.dt)
         return np.array([brake if self._can_stop else 0.0, np.clip(wheel, -self._wheel, self._wheel)])

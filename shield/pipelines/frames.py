@@ -46,7 +46,7 @@ GREATEST = 5.0
 """Greatest acceleration of a cap [m/s^2]."""
 CAPS = (-4.0, -2.0, 0.0, 5.0)
 """Changes of speed to which the speed of a lane change may be capped, rounded down to the grid [m/s]."""
-_SHARES = (0.75, 0.5, 0.25, 0.0)
+_BOUND_SHARES = (0.75, 0.5, 0.25, 0.0)
 """Widths of the others' bounds that are tried if no candidate is clear of the full bounds, as shares."""
 
 
@@ -178,7 +178,7 @@ def _evade(now: ObservedScene, target: Target) -> tuple[Plan[int], float]:
     lawful, expected = result.margin, result
     if now.memory.watch.violated:
         lawful = now.lawful.clearance(paths, candidates.lanes, candidates.fails).margin
-        expected = now.survey.clearance(paths, candidates.lanes, candidates.fails, hold=paths.shape[1])
+        expected = now.verifier.clearance(paths, candidates.lanes, candidates.fails, hold=paths.shape[1])
     keeps = lawful >= 0
     some = np.flatnonzero(keeps if keeps.any() else ~keeps)
     i = int(some[least_bad_evasion(_rows(expected, some), _rows(result, some))])
@@ -194,8 +194,8 @@ def _least_bad_of_shrunk_bounds(now: ObservedScene, target: Target) -> Plan[int]
     narrow: list[Clearance] = []
 
     def clear() -> Iterator[BoolArray]:
-        for share in _SHARES:
-            narrow.append(now.narrowed(share).clearance(paths, candidates.lanes, candidates.fails))
+        for share in _BOUND_SHARES:
+            narrow.append(now.with_shrunk_bounds(share).clearance(paths, candidates.lanes, candidates.fails))
             yield own & (narrow[-1].margin >= 0)
         for each in narrow:
             yield ~own & (each.margin >= 0)
@@ -236,8 +236,8 @@ def _evasions(now: ObservedScene, target: Target) -> tuple[Brakes, FloatArray]:
 
 def _accelerations(now: ObservedScene, target: Target) -> FloatArray:
     """Grid from full braking to the acceleration of the target command, (n,) [m/s^2]."""
-    wish, braking = KP_SPEED * (target.speed - float(now.scene.ego[State.SPEED])), now.config.braking
-    return np.linspace(-braking, max(min(wish, GREATEST), -braking), ACCELERATIONS)
+    tracking, braking = KP_SPEED * (target.speed - float(now.scene.ego[State.SPEED])), now.config.braking
+    return np.linspace(-braking, max(min(tracking, GREATEST), -braking), ACCELERATIONS)
 
 
 def capped_speeds(now: ObservedScene, target: Target) -> set[float]:

@@ -126,8 +126,8 @@ class InputPipeline:
 
         bounds = np.maximum(least, floor), np.maximum(most, floor)
         search = NearestInputSearch(judge, proposal, self._spans(now.scene), *bounds)
-        law = self.execution.law(now.scene, lane)
-        yield self.plan(now, search.run(lanes, law, self.stop_lanes(now)))
+        fail_safe_inputs = self.execution.fail_safe_inputs(now.scene, lane)
+        yield self.plan(now, search.run(lanes, fail_safe_inputs, self.stop_lanes(now)))
         if self.predictor is not None:
             planned = self.predictor.plan(now, proposal, int(first.lanes[0]))
             if planned is not None:
@@ -142,8 +142,8 @@ class InputPipeline:
         """
         violated, reason, lane = now.memory.watch.violated, Reason.NO_SAFE_PLAN, now.memory.stored
         if lane is not None:
-            law = self.execution.law(now.scene, lane)[None]
-            stored = self.judge(now, law, [lane], survey=now.lawful.without_cut_ins())
+            fail_safe_inputs = self.execution.fail_safe_inputs(now.scene, lane)[None]
+            stored = self.judge(now, fail_safe_inputs, [lane], verifier=now.lawful.without_cut_ins())
             keeps = bool(stored.margin[0] >= -ROUNDING)
             if keeps and violated:
                 evading = self._evade(now)
@@ -152,7 +152,7 @@ class InputPipeline:
             if keeps and not violated:
                 reason = Reason.PRECAUTION
             if keeps or not violated:
-                return JudgedPlan(Tier.STORED_PLAN, reason, replace(self.plan(now, stored), action=law[0]))
+                return JudgedPlan(Tier.STORED_PLAN, reason, replace(self.plan(now, stored), action=fail_safe_inputs[0]))
         # The first of the repairs: the least bad input of the search.
         return JudgedPlan(Tier.LARGEST_MARGIN, reason, tried[1].plan)
 
@@ -166,7 +166,7 @@ class InputPipeline:
             inputs[0] = np.fmin(np.fmax(inputs[0], scene.stopping), self.config.braking)
         elif np.isfinite(scene.ego).all():
             here = scene.road.lane_at(float(scene.ego_road[RoadState.R]))
-            inputs = self.execution.law(scene, here if memory.stored is None else memory.stored)
+            inputs = self.execution.fail_safe_inputs(scene, here if memory.stored is None else memory.stored)
         return Tier.EMERGENCY, Plan(inputs, stored=memory.stored, entered=memory.entered)
 
     # -- parts -------------------------------------------------------------------------------------------
@@ -177,24 +177,24 @@ class InputPipeline:
         inputs: FloatArray,
         stops: list[int],
         parts: bool = False,
-        survey: PathVerifier | None = None,
+        verifier: PathVerifier | None = None,
     ) -> JudgedInputs:
         """Margins of inputs (n, 2), each followed by the fail-safe in the first lane of `stops` that verifies.
 
         Parameters
         ----------
         parts : whether to return the components of the margins too; requires a single lane in `stops`.
-        survey : verifier; by default against all vehicles.
+        verifier : verifier; by default against all vehicles.
         """
         scene, frames = now.scene, self.execution.frames
         inputs = self.execution.exact(inputs)
         n, f = len(inputs), len(stops)
         fails = np.array(stops * n)
-        held = inputs[:, None] if frames == 1 else np.repeat(inputs[:, None], frames, axis=1)
-        paths = self.execution.stops(scene, now.rollouts.run_inputs(scene.ego_road, held), fails)
-        entered, edges, allowed, on_road = now.survey.entered(paths, fails)
-        survey = survey if survey is not None else now.survey
-        result = survey.clearance(paths, entered, fails)
+        repeated = inputs[:, None] if frames == 1 else np.repeat(inputs[:, None], frames, axis=1)
+        paths = self.execution.stops(scene, now.rollouts.run_inputs(scene.ego_road, repeated), fails)
+        entered, edges, allowed, on_road = now.verifier.entered(paths, fails)
+        verifier = verifier if verifier is not None else now.verifier
+        result = verifier.clearance(paths, entered, fails)
         margin = verdicts(result.margin, edges, allowed, paths, frames)
         clear = np.minimum(result.clear, on_road)
         of = np.hstack([result.parts, edges]) if parts else None
@@ -219,10 +219,10 @@ class InputPipeline:
         """The plan of the first judged input."""
         path, occupancy = np.vstack([now.scene.ego_road, judged.paths[0]]), None
         if self.config.record:
-            occupancy = now.survey.around.occupancy(len(judged.paths[0])).rectangles()
+            occupancy = now.verifier.around.occupancy(len(judged.paths[0])).rectangles()
         margin, clear = float(judged.margin[0]), int(judged.clear[0])
         stop = int(judged.lanes[0])
-        entered = int(now.survey.entered(judged.paths[:1], judged.lanes[:1])[0][0])
+        entered = int(now.verifier.entered(judged.paths[:1], judged.lanes[:1])[0][0])
         plan = Plan(judged.inputs[0], margin, stop, path, judged.bind(0), clear, occupancy)
         return plan if entered == stop else replace(plan, entered=entered)
 
@@ -236,17 +236,17 @@ class InputPipeline:
         without any. See `shield.pipelines.frames`."""
         lanes, braking = self.stop_lanes(now), self.config.braking
         accelerations = np.linspace(-braking, self.actuators.acceleration[1], _EVASIONS)
-        wheels = [float(self.execution.law(now.scene, lane)[1]) for lane in lanes]
+        wheels = [float(self.execution.fail_safe_inputs(now.scene, lane)[1]) for lane in lanes]
         floored = np.maximum(accelerations, self._floor(now.scene))
         inputs = np.array([(a, wheel) for wheel in wheels for a in floored])
-        lawful = self.judge(now, inputs, lanes, survey=now.lawful)
+        lawful = self.judge(now, inputs, lanes, verifier=now.lawful)
         keeps = np.flatnonzero(lawful.margin >= 0)
         if not keeps.size:
             return None
         paths, fails = lawful.paths[keeps], lawful.lanes[keeps]
-        entered = now.survey.entered(paths, fails)[0]
-        expected = now.survey.clearance(paths, entered, fails, hold=paths.shape[1])
-        i = keeps[least_bad_evasion(expected, now.survey.clearance(paths, entered, fails))]
+        entered = now.verifier.entered(paths, fails)[0]
+        expected = now.verifier.clearance(paths, entered, fails, hold=paths.shape[1])
+        i = keeps[least_bad_evasion(expected, now.verifier.clearance(paths, entered, fails))]
         return self.judge(now, inputs[i : i + 1], [int(lawful.lanes[i])])
 
     def _stop_lane(self, now: ObservedScene) -> int:

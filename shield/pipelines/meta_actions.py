@@ -82,8 +82,8 @@ class MetaActionPipeline:
         # Without a policy order, an acceleration cap is preferred to another action.
         kept = ([] if changes else [action]) + [labels.index(x) for x in ("IDLE", "SLOWER") if x in labels]
         for a in kept:
-            for held in self._hold_back.plans(now, targets[a]):
-                yield JudgedPlan(Tier.GOVERNED, reason, replace(held, action=a, path=_from_here(now, held.path)))
+            for capped in self._hold_back.plans(now, targets[a]):
+                yield JudgedPlan(Tier.GOVERNED, reason, replace(capped, action=a, path=_from_here(now, capped.path)))
         # The remaining actions, without the forecast for the whole decision: the certificate needs one frame only.
         rest = [a for a in range(len(labels)) if a != action]
         for plan in self._verify_actions(now, rest, targets, forecast=False):
@@ -94,8 +94,8 @@ class MetaActionPipeline:
     ) -> JudgedPlan[int]:
         """SLOWER; the frames continue the stored plan."""
         tier, plan = self.last_resort(now.memory, now.scene, proposal)
-        held = tier is Tier.STORED_PLAN and not now.memory.watch.violated and now.fail_safe().margin >= -ROUNDING
-        return JudgedPlan(tier, Reason.PRECAUTION if held else Reason.NO_SAFE_PLAN, plan)
+        capped = tier is Tier.STORED_PLAN and not now.memory.watch.violated and now.fail_safe().margin >= -ROUNDING
+        return JudgedPlan(tier, Reason.PRECAUTION if capped else Reason.NO_SAFE_PLAN, plan)
 
     def last_resort(
         self, memory: Memory[int], scene: Scene | Unreadable, proposal: MetaActionProposal
@@ -171,7 +171,7 @@ class MetaActionPipeline:
             path, occupancy = paths[best], None
             if self.config.record:
                 hold = period if forecast else 0
-                occupancy = now.survey.around.occupancy(len(path), hold).rectangles()
+                occupancy = now.verifier.around.occupancy(len(path), hold).rectangles()
             path, binding = _from_here(now, path), results[best].binding(best)
             out.append(Plan(action, float(margins[best]), fails[best], path, binding, occupancy=occupancy))
         return out

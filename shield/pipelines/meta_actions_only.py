@@ -49,11 +49,11 @@ class UnsupervisedMetaActionPipeline:
         """Observe a scene: monitor, and reachable places of the others."""
         rollouts = Rollouts(scene.dt, scene.road)
 
-        def fail_safe(survey: PathVerifier) -> FloatArray:
+        def fail_safe(verifier: PathVerifier) -> FloatArray:
             # Without a brake, the fail-safe is the slowest sequence of actions.
             candidates, _ = meta_candidates(scene, [slower(scene.control.actions)], self.config.horizon)
             paths = candidates.paths(rollouts, scene.ego_road)
-            return survey.of_each(survey.clearance(paths, candidates.lanes, candidates.fails))
+            return verifier.of_each(verifier.clearance(paths, candidates.lanes, candidates.fails))
 
         now = observe(memory, scene, self.config, scene.frames_per_decision, fail_safe)
         return now, now.memory
@@ -115,7 +115,7 @@ class UnsupervisedMetaActionPipeline:
         paths, result = now.judge(candidates)
         occupancy = None
         if self.config.record:
-            occupancy = now.survey.around.occupancy(paths.shape[1]).rectangles()
+            occupancy = now.verifier.around.occupancy(paths.shape[1]).rectangles()
         out = []
         for i, action in enumerate(actions):
             path, left = np.vstack([scene.ego_road, paths[i]]), sequences[i][1:]

@@ -115,10 +115,10 @@ class ParkingLotPipeline:
             return JudgedPlan(tier, Reason.BAD_SCENE, replace(plan, stored=None))
         if view.memory.stored is not None:
             # The rest of the plan verified a frame ago, up to the rounding error.
-            law = self._law(view, proposal)
-            kept = self.judge(view.lot, law[None])
+            fail_safe_inputs = self._fail_safe_inputs(view, proposal)
+            kept = self.judge(view.lot, fail_safe_inputs[None])
             if kept.margin[0] >= -_ROUNDING:
-                return JudgedPlan(Tier.STORED_PLAN, Reason.NO_SAFE_PLAN, self._plan(view.lot, kept, law))
+                return JudgedPlan(Tier.STORED_PLAN, Reason.NO_SAFE_PLAN, self._plan(view.lot, kept, fail_safe_inputs))
         return JudgedPlan(Tier.LARGEST_MARGIN, Reason.NO_SAFE_PLAN, tried[-1].plan)
 
     def last_resort(
@@ -136,30 +136,33 @@ class ParkingLotPipeline:
 
     # -- repair ------------------------------------------------------------------------------------------
 
-    def _law(self, view: _Now, proposal: FloatArray) -> FloatArray:
+    def _fail_safe_inputs(self, view: _Now, proposal: FloatArray) -> FloatArray:
         """Inputs of the fail-safe, (2,); without a stored wheel angle, with the proposal's."""
         _, plan = self.last_resort(view.memory, view.lot, proposal)
-        law: FloatArray = plan.action.copy()
+        fail_safe_inputs: FloatArray = plan.action.copy()
         if view.memory.stored is None:
-            law[1] = proposal[1]
-        return law
+            fail_safe_inputs[1] = proposal[1]
+        return fail_safe_inputs
 
     def _nearest(self, view: _Now, proposal: FloatArray) -> JudgedInputs:
         """The nearest input found; the least bad if none verifies."""
-        lot, law = view.lot, self._law(view, proposal)
+        lot, fail_safe_inputs = view.lot, self._fail_safe_inputs(view, proposal)
         limits = np.array([self.actuators.acceleration, self.actuators.steering]).T
         if self._agent and not self.actuators.lateral:
             limits[:, 1] = 0.0
         spans = np.ptp([self.actuators.acceleration, self.actuators.steering], axis=1)
         # Beyond the actuators' range the brake is available, up to a stop of the ego.
-        low, high = np.minimum(np.minimum(limits[0], law), proposal), np.maximum(np.maximum(limits[1], law), proposal)
+        low, high = (
+            np.minimum(np.minimum(limits[0], fail_safe_inputs), proposal),
+            np.maximum(np.maximum(limits[1], fail_safe_inputs), proposal),
+        )
         search = NearestInputSearch(lambda inputs, lanes, parts: self.judge(lot, inputs), proposal, spans, low, high)
-        judged = search.run(_NO_LANE, law)
+        judged = search.run(_NO_LANE, fail_safe_inputs)
         far = float(np.hypot(*((judged.inputs[0] - proposal) / spans))) if judged.margin[0] >= 0 else np.inf
         if far > _FAR:
             # Inputs that verify may lie neither near the proposal nor between it and the brake: search the whole range.
             tried = low + _GRID * (high - low)
-            tried[_GRID[:, 0] == 0, 0] = law[0]
+            tried[_GRID[:, 0] == 0, 0] = fail_safe_inputs[0]
             grid = self.judge(lot, tried)
             distance = np.where(grid.margin >= 0, np.hypot(*((grid.inputs - proposal) / spans).T), np.inf)
             nearest = int(distance.argmin())
@@ -184,10 +187,10 @@ class ParkingLotPipeline:
         period = self._frames
         paths = stops(lot.ego[:4], inputs, period, self._braking, lot.dt, period, length)
         now, coming = gaps(paths, (length, width), lot.boxes, lot.dt)
-        room = np.minimum(now - self.config.clearance, coming - _ROUNDING)
-        parts = room.min(axis=1)
+        clearances = np.minimum(now - self.config.clearance, coming - _ROUNDING)
+        parts = clearances.min(axis=1)
         margin = parts.min(axis=1, initial=np.inf)
         margin[np.abs(paths[..., State.SPEED]).max(axis=1) > MAX_SPEED] = -np.inf
-        bad: Any = np.any(room < 0, axis=2)
+        bad: Any = np.any(clearances < 0, axis=2)
         clear = np.where(bad.any(axis=1), bad.argmax(axis=1), paths.shape[1])
         return JudgedInputs(inputs, margin, clear, np.zeros(len(inputs), dtype=int), paths, parts)

@@ -38,9 +38,9 @@ def warm_up() -> None:
             for rule in (RssRule(config), TtcRule(config.time_to_collision)):
                 rule.objects(scene, Target(2, 30.0))
             # Kernels that the predictive filter calls.
-            survey = inputs.observe(memory, scene)[0].survey
-            survey.around.occupancy(2)
-            survey.relevant(50.0)
+            verifier = inputs.observe(memory, scene)[0].verifier
+            verifier.around.occupancy(2)
+            verifier.relevant(50.0)
             # With a stored stop, the next scene computes the followers that have to brake for it.
             memory = replace(memory, stored=1)
 

@@ -59,7 +59,7 @@ class ActionWarning:
     """Warns once of an invalid action, and lists the valid ones."""
 
     def __init__(self) -> None:
-        self._told = False
+        self._warned = False
 
     def check(self, decisions: Iterable[Decision], base: Any) -> None:
         """Check the decisions of one step.
@@ -68,9 +68,9 @@ class ActionWarning:
         ----------
         decisions : about one ego or several. base : the environment, unwrapped, or its prior map (`shield.Known`).
         """
-        for decision in () if self._told else decisions:
+        for decision in () if self._warned else decisions:
             if decision.reason is Reason.BAD_ACTION:
-                self._told = True
+                self._warned = True
                 given = decision.proposed
                 shown = given.item() if isinstance(given, np.ndarray | np.generic) and given.size == 1 else given
                 valid, hint = _valid(base, shown)

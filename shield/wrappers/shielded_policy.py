@@ -248,8 +248,8 @@ class Shield(WrappedPolicy):
             # All frames of the decision are over, and perhaps no later decision runs the monitor on the last one.
             self._filters[i].look()
         offences = self._counted[i].since(self._filters[i])
-        told = report(self.decisions[i].with_frames(self.frame_decisions[i]), *offences)
-        return {**told, "verification": self._chosen[i].verification.value}
+        reported = report(self.decisions[i].with_frames(self.frame_decisions[i]), *offences)
+        return {**reported, "verification": self._chosen[i].verification.value}
 
     @property
     def statistics(self) -> Statistics:

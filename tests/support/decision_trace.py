@@ -84,7 +84,7 @@ def trace(name: str, policy: str, seed: int, decisions: int) -> tuple[list[str],
     highways = ShieldedHighways(env_id, e, config, shield)
     digests, rng = [sha256() for _ in range(e)], np.random.default_rng(seed)
     put(digests, highways.reset(range(seed, seed + e)))
-    actions, met = len(highways.law.labels), np.zeros(len(TIERS), dtype=int)
+    actions, met = len(highways.parameters.labels), np.zeros(len(TIERS), dtype=int)
     for k in range(decisions):
         for array in highways.step(*chosen(policy, rng, k, e, actions), again=True):
             put(digests, array)
@@ -93,7 +93,7 @@ def trace(name: str, policy: str, seed: int, decisions: int) -> tuple[list[str],
         put(digests, highways.rows)
         put(digests, highways.off_road)
         s = highways.shields
-        for array in (s.stored, s.visible, s.owned, s.owing, s.breaking, s.offenders, s.offences, s.by_rule):
+        for array in (s.stored, s.visible, s.owned, s.obliged, s.breaking, s.offenders, s.offences, s.by_rule):
             put(digests, array)
         for tiers in (highways.records.tier, highways.records.tiers):
             met += np.bincount(tiers.ravel(), minlength=len(TIERS))

@@ -123,7 +123,7 @@ class Stage:
         which = np.array([bodies.index(rider) for rider in self._riders if not rider.crashed], np.intp)
         riders = [bodies[i] for i in which]
         core = self._env.core
-        scene: Scene = core.memory.survey.scene  # of this very frame: the ego has acted
+        scene: Scene = core.memory.verifier.scene  # of this very frame: the ego has acted
         inputs = core.procedure.execution.frames if isinstance(core.procedure, InputPipeline) else 1
         share, calm = np.ones(len(riders)), np.stack([r.calm for r in riders]) if riders else np.zeros((0, 2))
         for attempt in range(2 * _HALVINGS):

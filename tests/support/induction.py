@@ -79,7 +79,9 @@ def left_of(now: ObservedScene, inputs: InputPipeline | None) -> tuple[float, st
         kept = now.fail_safe(lawful=True)
         return kept.margin, kept.binding.clause, kept.binding.vehicle
     lane = int(now.memory.stored)
-    judged = inputs.judge(now, inputs.execution.law(now.scene, lane)[None], [lane], survey=now.lawful.without_cut_ins())
+    judged = inputs.judge(
+        now, inputs.execution.fail_safe_inputs(now.scene, lane)[None], [lane], verifier=now.lawful.without_cut_ins()
+    )
     plan = inputs.plan(now, judged)
     return plan.margin, plan.binding.clause, plan.binding.vehicle
 
@@ -124,7 +126,7 @@ class Audit:
         inputs = procedure if isinstance(procedure, InputPipeline) else None
         frames = inputs.execution.frames if inputs is not None else 1
         self.tally.frames += 1
-        if memory.survey is None or memory.stored is None:
+        if memory.verifier is None or memory.stored is None:
             self._good = False
             return
         now = observe(memory, scene, self._config, frames)

@@ -49,7 +49,7 @@ class _Spoiler(Stage):
         self._act()
         core, follower = self._env.core, self._riders[0]
         inputs = core.procedure if isinstance(core.procedure, InputPipeline) else None
-        scene = core.memory.survey.scene
+        scene = core.memory.verifier.scene
         moves = list(product(_ACCELERATIONS, _HEADINGS, _ASIDE))
         tried = [follower.planned, *(np.array(moves[i]) for i in self.rng.permutation(len(moves))[:_TRIED])]
         worst, chosen = np.inf, follower.planned

@@ -187,7 +187,7 @@ def _touched(
         at = _pose(lanes, ways, bounds, subject.row, lane)
         if lane != subject.own:
             if lanes.ids[lane, ROAD] == lanes.ids[subject.own, ROAD]:
-                if max(at.low, -at.high) >= lanes.rows[lane, LANE_WIDTH] / 2 - bounds.lean:
+                if max(at.low, -at.high) >= lanes.rows[lane, LANE_WIDTH] / 2 - bounds.marking_tolerance:
                     continue
             elif not (abs(at.r) <= _OVERLAY and at.within and abs(at.angle) <= ALIGNED):
                 continue

@@ -82,15 +82,15 @@ class DrivingBounds(NamedTuple):
     Attributes
     ----------
     braking, acceleration : greatest [m/s^2]. top : greatest speed on a lane without a limit [m/s].
-    sway : greatest deviation of a body from the centre of its lane, beyond its own half width [m].
-    lean : how far it may reach over a marking before it counts as in the next lane [m].
+    lateral_deviation : greatest deviation of a body from the centre of its lane, beyond its own half width [m].
+    marking_tolerance : how far it may reach over a marking before it counts as in the next lane [m].
     """
 
     braking: float
     acceleration: float
     top: float
-    sway: float
-    lean: float
+    lateral_deviation: float
+    marking_tolerance: float
 
 
 class LaneContinuations(NamedTuple):
@@ -181,7 +181,7 @@ def bulge(lanes: NetworkLanes, lane: int, row: FloatArray) -> float:
 @kernel_no_refcount
 def centred_half(lanes: NetworkLanes, lane: int, row: FloatArray, bounds: DrivingBounds) -> float:
     """How far a body reaches to either side while it keeps to the centre of a lane, with the drift on an arc [m]."""
-    return 0.5 * row[_WIDTH] + bounds.sway + bulge(lanes, lane, row) + curvature(lanes, lane) * _DRIFT
+    return 0.5 * row[_WIDTH] + bounds.lateral_deviation + bulge(lanes, lane, row) + curvature(lanes, lane) * _DRIFT
 
 
 @kernel_inline
@@ -204,7 +204,7 @@ def body_half(lanes: NetworkLanes, lane: int, row: FloatArray, bounds: DrivingBo
     bend = curvature(lanes, lane)
     if bend == 0.0:
         return half
-    return math.atan2(half, 1 / bend - 0.5 * wide - bounds.sway - bend * _DRIFT) / bend
+    return math.atan2(half, 1 / bend - 0.5 * wide - bounds.lateral_deviation - bend * _DRIFT) / bend
 
 
 @kernel_inline

@@ -94,20 +94,20 @@ def _compiled(
     for j, length in enumerate(settings.moves):
         for _ in range(length):
             slopes.append(slope.step(j, *way.slopes[k]))
-            jacobian, room = way.rows[k]
+            jacobian, to_bound = way.rows[k]
             rows.append(slope.rows(jacobian, j))
-            lower.append(-INFINITY * ca.DM.ones(room.shape[0]))
-            upper.append(room)
+            lower.append(-INFINITY * ca.DM.ones(to_bound.shape[0]))
+            upper.append(to_bound)
             k += 1
         # Speed is linear within a move, so a non-negative speed at its end is non-negative throughout.
         x = way.states[k - 1]
         rows += [slope.hard(_SPEED), slope.hard(_HEADING), slope.rows(_TURNED, j)]
         lower += [ca.fmin(x[3], 0) - x[3], -settings.trust, -INFINITY * ca.DM.ones(2)]
         upper += [INFINITY, settings.trust, LEVER * (settings.heading - x[2]), LEVER * (settings.heading + x[2])]
-    jacobian, room = way.end
+    jacobian, to_bound = way.end
     rows.append(slope.rows(jacobian, len(settings.moves) - 1))
-    lower.append(-INFINITY * ca.DM.ones(room.shape[0]))
-    upper.append(room)
+    lower.append(-INFINITY * ca.DM.ones(to_bound.shape[0]))
+    upper.append(to_bound)
     low: list[Any] = [*way.low, ca.DM.zeros(len(settings.moves))]
     high: list[Any] = [*way.high, INFINITY * ca.DM.ones(len(settings.moves))]
 

@@ -102,23 +102,25 @@ def linearised(settings: FilterSettings, m: int, curved: bool, model: StageModel
             s_high, s_low, r_high, r_low = bounds
             r_high, r_low = ca.fmin(r_high, edges[1, k]), ca.fmax(r_low, edges[0, k])
             values, jacobian = row(x, lon, lat)
-            room = ca.vertcat(s_high, -s_low, r_high, r_high, -r_low, -r_low, corridor[1, k], -corridor[0, k]) - values
-            outside = ca.vertcat(edges[1, k] - values[2:4], -edges[0, k] - values[4:6], room[6:8])
+            to_bound = (
+                ca.vertcat(s_high, -s_low, r_high, r_high, -r_low, -r_low, corridor[1, k], -corridor[0, k]) - values
+            )
+            outside = ca.vertcat(edges[1, k] - values[2:4], -edges[0, k] - values[4:6], to_bound[6:8])
             violations.append(ca.fmax(-ca.mmin(outside), -clear))
-            rows.append((jacobian, ca.fmin(room, _FAR)))
+            rows.append((jacobian, ca.fmin(to_bound, _FAR)))
             k += 1
         low.append(below)
         high.append(above)
     values, jacobian = end_function(settings.braking)(x, lon, lat)
     limit = ca.fmin(choice.rest(rest), stop)
-    room = ca.vertcat(limit, ca.repmat(edges[1, n - 1], 2, 1), ca.repmat(-edges[0, n - 1], 2, 1)) - values
-    violations.append(-ca.mmin(room))
+    to_bound = ca.vertcat(limit, ca.repmat(edges[1, n - 1], 2, 1), ca.repmat(-edges[0, n - 1], 2, 1)) - values
+    violations.append(-ca.mmin(to_bound))
     # The stopping distance is convex in the speed. Tangents at other speeds than the guess's are valid rows too.
     others = ca.DM(TANGENTS)
     gain = (others - x[3]) ** 2 / (2 * settings.braking)
     bent = ca.repmat(jacobian[0, :], others.numel(), 1)
     bent[:, 3] = others / settings.braking
-    end = ca.vertcat(jacobian, bent), ca.fmin(ca.vertcat(room, room[0] + gain), _FAR)
+    end = ca.vertcat(jacobian, bent), ca.fmin(ca.vertcat(to_bound, to_bound[0] + gain), _FAR)
     violation = ca.fmax(0, ca.mmax(ca.vertcat(*violations)))
     arguments = [x0, u, occupied, rest, edges, corridor, curvature, aim, misc, given]
     question = (u, curvature, aim, near, weights, x0[3], scale)
@@ -128,6 +130,6 @@ def linearised(settings: FilterSettings, m: int, curved: bool, model: StageModel
 def _stage_function(settings: FilterSettings, frames: int, curved: bool, model: StageModel | None) -> ca.Function:
     """One stage of `frames` frames, with its Jacobians."""
     x, u, k = ca.SX.sym("x", 4), ca.SX.sym("u", 2), ca.SX.sym("k")
-    held = without_reverse(u, x[3], settings.dt * frames)
-    after = stage_expression(x, held, k if curved else None, settings.dt, frames, model)
+    repeated = without_reverse(u, x[3], settings.dt * frames)
+    after = stage_expression(x, repeated, k if curved else None, settings.dt, frames, model)
     return ca.Function("stage", [x, u, k], [after, ca.jacobian(after, x), ca.jacobian(after, u)])

@@ -203,17 +203,17 @@ def _rows(settings: FilterSettings, way: Linearised, curvature: ca.SX) -> tuple[
     for j in range(moves):
         add(row(1, None, None, j, None, 1), nothing(1), INFINITY * one(1), c.slack * one(1))
 
-    def near(room: ca.SX, far: float) -> ca.SX:
-        return 1 / (1 + (ca.fmax(room, 0) / far) ** 2)
+    def near(to_bound: ca.SX, far: float) -> ca.SX:
+        return 1 / (1 + (ca.fmax(to_bound, 0) / far) ** 2)
 
     k = 0
     for j, length in enumerate(settings.moves):
         for _ in range(length):
-            jacobian, room = way.rows[k]
-            along = c.along * free[k][0] ** -c.along_power * near(room[:2], c.far_along)
-            across = free[k][1] ** -c.across_power * near(room[2:], c.far_across)
+            jacobian, to_bound = way.rows[k]
+            along = c.along * free[k][0] ** -c.along_power * near(to_bound[:2], c.far_along)
+            across = free[k][1] ** -c.across_power * near(to_bound[2:], c.far_across)
             across *= ca.vertcat(c.across * one(4), c.corridor * one(2))
-            add(row(SOFT, k, jacobian, j, None, -1), -INFINITY * one(SOFT), room, ca.vertcat(along, across))
+            add(row(SOFT, k, jacobian, j, None, -1), -INFINITY * one(SOFT), to_bound, ca.vertcat(along, across))
             k += 1
         x, std = way.states[k - 1], free[k - 1]
         speed, heading = ca.SX(ca.DM([[0, 0, 0, 1]])), ca.SX(ca.DM([[0, 0, 1, 0]]))
@@ -225,12 +225,14 @@ def _rows(settings: FilterSettings, way: Linearised, curvature: ca.SX) -> tuple[
         turned = ca.vertcat(LEVER * heading, -LEVER * heading)
         most = ca.vertcat(LEVER * (settings.heading - x[2]), LEVER * (settings.heading + x[2]))
         add(row(2, k - 1, turned, j, None, -1), -INFINITY * one(2), most, c.turned * turning * one(2))
-    jacobian, room = way.end
+    jacobian, to_bound = way.end
     kept = ca.vertcat(c.stop, c.drift * one(4), c.tangent * one(len(TANGENTS)))
-    distance = ca.vertcat(near(room[0], c.far_along), near(room[1:5], c.far_across), near(room[5:], c.far_along))
+    distance = ca.vertcat(
+        near(to_bound[0], c.far_along), near(to_bound[1:5], c.far_across), near(to_bound[5:], c.far_along)
+    )
     power = [free[-1][i] ** -p for i, p in ((0, c.along_power), (1, c.across_power))]
     moved = ca.vertcat(power[0], ca.repmat(power[1], 4, 1), ca.repmat(power[0], len(TANGENTS), 1))
-    add(row(ENDS, n - 1, jacobian, moves - 1, None, -1), -INFINITY * one(ENDS), room, kept * distance * moved)
+    add(row(ENDS, n - 1, jacobian, moves - 1, None, -1), -INFINITY * one(ENDS), to_bound, kept * distance * moved)
     a, low, high, scales = (ca.vertcat(*v) for v in (rows, lower, upper, hold))
     return a, ca.densify(low), ca.densify(high), ca.densify(ca.fmax(scales, _LEAST))
 
@@ -271,9 +273,9 @@ def _judged(settings: FilterSettings, of_p: ca.Sparsity, of_a: ca.Sparsity) -> c
     values = a[dynamics:, :] @ full
     low, high, multiplier = lower[dynamics:], upper[dynamics:], y[dynamics:]
     beyond = ca.fmax(low - values, values - high) / hold[dynamics:]
-    room = ca.if_else(multiplier > 0, high - values, values - low)
+    to_bound = ca.if_else(multiplier > 0, high - values, values - low)
     # The multiplier of an absent bound is zero up to rounding.
-    gap = ca.sum1(ca.if_else(ca.fabs(room) < INFINITY / 2, ca.fabs(multiplier * room), 0))
+    gap = ca.sum1(ca.if_else(ca.fabs(to_bound) < INFINITY / 2, ca.fabs(multiplier * to_bound), 0))
     symmetric = p + p.T - ca.diag(ca.diag(p))
     gradient = symmetric @ full + q + a[dynamics:, :].T @ multiplier
     by_input, after = gradient[:inputs], None
@@ -285,6 +287,6 @@ def _judged(settings: FilterSettings, of_p: ca.Sparsity, of_a: ca.Sparsity) -> c
         after = -pull / ca.diag(a[here, own])
         by_input += a[here, :inputs].T @ after
     dual = ca.mmax(ca.fabs(ca.vertcat(by_input, gradient[inputs + states :])))
-    miss = ca.if_else(ca.fabs(multiplier) > _NONE, ca.fabs(room) / hold[dynamics:], beyond)
+    miss = ca.if_else(ca.fabs(multiplier) > _NONE, ca.fabs(to_bound) / hold[dynamics:], beyond)
     out = [ca.vertcat(z, slack), ca.fmax(ca.mmax(beyond), 0), dual, ca.mmax(ca.fabs(by_input[:2])), gap, miss]
     return ca.Function("judged", [p, a, q, lower, upper, hold, x, y], [ca.densify(o) for o in out], _OPTIONS)

@@ -121,7 +121,7 @@ def descend(program: ProblemArrays, solver: QuadraticSolver[Any], guess: FloatAr
         status = Status.ERROR if status is not Status.TIME_LIMIT else status
         violation = np.inf
     elif status is Status.UNSETTLED:
-        status = _judge(violation, slack, settings.tolerance, settled)
+        status = _status_of(violation, slack, settings.tolerance, settled)
     return Descent(
         status,
         program.inputs.copy(),
@@ -168,7 +168,7 @@ def _without_reverse(program: ProblemArrays) -> FloatArray:
     return inputs
 
 
-def _judge(violation: float, slack: float, tolerance: float, settled: bool) -> Status:
+def _status_of(violation: float, slack: float, tolerance: float, settled: bool) -> Status:
     if violation >= tolerance:
         return Status.SLACK if slack >= tolerance else Status.UNSETTLED
     return Status.SOLVED if settled else Status.INACCURATE

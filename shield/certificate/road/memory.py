@@ -41,7 +41,7 @@ class Memory(Generic[S]):
     frame : index of the last simulation frame; None if it is not known.
     stored : the fail-safe verified last: the lane that it stops in, the wheel angle that it holds [rad], or its
         remaining actions. None if there is none.
-    survey : judge of plans in the last scene. It holds the state of the lanes: those that the ego owns, for how many
+    verifier : judge of plans in the last scene. It holds the state of the lanes: those that the ego owns, for how many
         frames it has been visible in each, and the vehicles that may enter each.
     watch : state of the monitor.
     plan : last plan of the predictive filter, inputs (N, 2), from which the next one starts.
@@ -51,7 +51,7 @@ class Memory(Generic[S]):
 
     frame: int | None = None
     stored: S | None = None
-    survey: PathVerifier | None = None
+    verifier: PathVerifier | None = None
     watch: RoadMonitor | ParkingMonitor = field(default_factory=RoadMonitor)
     plan: FloatArray | None = None
     entered: int | None = None
@@ -77,26 +77,31 @@ class ObservedScene:
     scene, config : the scene, and the shield's settings.
     memory : after the observation.
     rollouts : of the ego.
-    survey : judges plans in this scene.
+    verifier : judges plans in this scene.
     """
 
     scene: Scene
     config: ShieldConfig
     memory: Memory[Any]
     rollouts: Rollouts
-    survey: PathVerifier
+    verifier: PathVerifier
 
     @cached_property
     def lawful(self) -> PathVerifier:
         """Judges plans against the vehicles without a violation."""
         assert isinstance(self.memory.watch, RoadMonitor)
-        return self.survey.without(self.memory.watch.offenders)
+        return self.verifier.without(self.memory.watch.offenders)
 
-    def narrowed(self, share: float) -> PathVerifier:
+    def with_shrunk_bounds(self, share: float) -> PathVerifier:
         """Judges plans in the scene with shrunk bounds on the other vehicles: `share` of their width, see
-        `Scene.narrowed`."""
+        `Scene.with_shrunk_bounds`."""
         assert isinstance(self.memory.watch, RoadMonitor)
-        scene, last, watch, lane = self.scene.narrowed(share), self.survey, self.memory.watch, self.memory.stored
+        scene, last, watch, lane = (
+            self.scene.with_shrunk_bounds(share),
+            self.verifier,
+            self.memory.watch,
+            self.memory.stored,
+        )
         stored = lane if isinstance(lane, int) else None
         return PathVerifier(
             scene,
@@ -105,7 +110,7 @@ class ObservedScene:
             last.owned,
             None,
             None,
-            watch.owing,
+            watch.obliged,
             last.comes,
             stored,
             self.memory.entered,
@@ -119,14 +124,14 @@ class ObservedScene:
     def judge(self, candidates: Manoeuvres, hold: int = 0) -> tuple[FloatArray, Clearance]:
         """Paths (n, K, 4) of the candidates, and the result for them; see `PathVerifier.clearance`."""
         paths = candidates.paths(self.rollouts, self.scene.ego_road)
-        return paths, self.survey.clearance(paths, candidates.lanes, candidates.fails, hold)
+        return paths, self.verifier.clearance(paths, candidates.lanes, candidates.fails, hold)
 
     def fail_safe(self, lawful: bool = False) -> FailSafe:
         """The stored fail-safe from now on, judged without precautions; if there is none, braking in the ego's own
         lane. With `lawful`, violators are left out."""
         lane = self.here if self.memory.stored is None else int(self.memory.stored)
-        survey = (self.lawful if lawful else self.survey).without_cut_ins()
-        path, result = _brake(self.scene, lane, self.config.braking, self.rollouts, survey, self.memory.entered)
+        verifier = (self.lawful if lawful else self.verifier).without_cut_ins()
+        path, result = _brake(self.scene, lane, self.config.braking, self.rollouts, verifier, self.memory.entered)
         return FailSafe(lane, path, float(result.margin[0]), result.binding(0))
 
 
@@ -147,10 +152,10 @@ def observe(
         of braking in the stored lane.
     """
     rollouts = Rollouts(scene.dt, scene.road)
-    if memory.survey is not None and scene.frame is not None and scene.frame == memory.frame:
-        return ObservedScene(scene, config, memory, rollouts, memory.survey)
+    if memory.verifier is not None and scene.frame is not None and scene.frame == memory.frame:
+        return ObservedScene(scene, config, memory, rollouts, memory.verifier)
     watch = memory.watch if isinstance(memory.watch, RoadMonitor) else RoadMonitor()
-    last, lane = memory.survey, memory.stored if isinstance(memory.stored, int) else None
+    last, lane = memory.verifier, memory.stored if isinstance(memory.stored, int) else None
     same = None if last is None else _same(last.scene, scene)
     if last is not None and same is not None and scene.blurred and frames == 1:
         scene = shrink_bounds(last.scene, last.around, same, scene)
@@ -162,22 +167,22 @@ def observe(
     frame_before = before if frames == 1 else None
     around = OtherVehicles(scene.others, scene.others_road, scene.road, config.assumptions, scene.dt, frame_before, ego)
     watch = watch.of(same, len(scene.others))
-    visible, owned, coming = _lanes(last, scene, config, frames, lane, watch.owing, same)
-    followers = None if last is None else watch.owing
-    survey = PathVerifier(scene, config, visible, owned, around, None, followers, coming, lane, memory.entered)
+    visible, owned, coming = _lanes(last, scene, config, frames, lane, watch.obliged, same)
+    followers = None if last is None else watch.obliged
+    verifier = PathVerifier(scene, config, visible, owned, around, None, followers, coming, lane, memory.entered)
 
     def separations() -> FloatArray:
         if fail_safe is not None:
-            return fail_safe(survey)
+            return fail_safe(verifier)
         stop = lane if lane is not None else scene.road.lane_at(float(scene.ego_road[RoadState.R]))
-        return survey.of_each(_brake(scene, stop, config.braking, rollouts, survey, memory.entered)[1])
+        return verifier.of_each(_brake(scene, stop, config.braking, rollouts, verifier, memory.entered)[1])
 
     if scene.observed:
         before = None
     new = None if same is None else same < 0
-    watch = watch.next(survey, before, new, survey.counted(_followers(last, same)), frames * scene.dt, separations)
-    memory = Memory(scene.frame, memory.stored, survey, watch, memory.plan, memory.entered)
-    return ObservedScene(scene, config, memory, rollouts, survey)
+    watch = watch.next(verifier, before, new, verifier.counted(_followers(last, same)), frames * scene.dt, separations)
+    memory = Memory(scene.frame, memory.stored, verifier, watch, memory.plan, memory.entered)
+    return ObservedScene(scene, config, memory, rollouts, verifier)
 
 
 def _same(last: Scene, scene: Scene) -> IntArray | None:
@@ -196,12 +201,12 @@ def _same(last: Scene, scene: Scene) -> IntArray | None:
 
 
 def _followers(last: PathVerifier | None, same: IntArray | None) -> tuple[BoolArray, BoolArray] | None:
-    """`PathVerifier.behind` and `PathVerifier.held` of the last scene, (m,) bool, in the order of this scene's
+    """`PathVerifier.behind` and `PathVerifier.in_owned_lane` of the last scene, (m,) bool, in the order of this scene's
     vehicles."""
     if last is None or same is None:
-        return None if last is None else (last.behind, last.held)
+        return None if last is None else (last.behind, last.in_owned_lane)
     flags, known = np.zeros((2, len(same)), dtype=bool), same >= 0
-    flags[0, known], flags[1, known] = last.behind[same[known]], last.held[same[known]]
+    flags[0, known], flags[1, known] = last.behind[same[known]], last.in_owned_lane[same[known]]
     return flags[0], flags[1]
 
 
@@ -227,7 +232,7 @@ def _lanes(
     config: ShieldConfig,
     frames: int,
     stored: int | None,
-    owing: BoolArray,
+    obliged: BoolArray,
     same: IntArray | None,
 ) -> Any:
     """Number of frames for which the ego has been visible in each lane; the lanes that it owns; and the vehicles that
@@ -238,24 +243,24 @@ def _lanes(
         if same is not None:
             comes = np.ones((len(last.visible), len(same)), dtype=bool)
             comes[:, same >= 0] = last.comes[:, same[same >= 0]]
-        before = last.visible, last.owned, owing, comes
-    visible, owned, owing, comes = before
+        before = last.visible, last.owned, obliged, comes
+    visible, owned, obliged, comes = before
     r, psi, sight = scene.ego_road[RoadState.R], scene.ego_road[RoadState.HEADING], config.assumptions.visible_distance
     length, width = float(scene.ego[Vehicle.LENGTH]), float(scene.ego[Vehicle.WIDTH])
     half = 0.5 * (length * abs(math.sin(psi)) + width * abs(math.cos(psi)))
-    half += footprint_of(length, width, config.buffer, scene.road.bends)[0].bare_across
+    half += footprint_of(length, width, config.buffer, scene.road.bends)[0].body_growth_across
     near = LaneDistances(sight, TOUCH + half, 0.5 * float(scene.road.width) + half)
     lanes, stop = LaneState(scene.road.centers, owned, visible), -1 if stored is None else stored
-    return updated_lanes(float(r), frames, near, stop, lanes, owing, comes)
+    return updated_lanes(float(r), frames, near, stop, lanes, obliged, comes)
 
 
 def _brake(
-    scene: Scene, lane: int, braking: float, rollouts: Rollouts, survey: PathVerifier, entered: int | None
+    scene: Scene, lane: int, braking: float, rollouts: Rollouts, verifier: PathVerifier, entered: int | None
 ) -> tuple[FloatArray, Clearance]:
     """Braking to a stop in a lane from now on: its path (K, 4), and the result for it. `entered` is the lane that the
     plan entered on the way, None if there is none."""
     speed = float(scene.ego[State.SPEED]) - braking / KP_SPEED
     candidates = brake_candidates(scene, [lane], [speed], [lane], 1, braking)
     paths = candidates.paths(rollouts, scene.ego_road)
-    lanes = candidates.lanes if entered is None else survey.entered(paths, candidates.fails)[0]
-    return paths[0], survey.clearance(paths, lanes, candidates.fails)
+    lanes = candidates.lanes if entered is None else verifier.entered(paths, candidates.fails)[0]
+    return paths[0], verifier.clearance(paths, lanes, candidates.fails)

@@ -38,26 +38,26 @@ overlap."""
 
 @kernel_no_refcount
 def update_obligations(
-    owed: Any, counted: Any, behind: Any, held: Any, broken: Any, grown: Any, owing: Any
+    obliged_before: Any, counted: Any, behind: Any, in_owned_lane: Any, broken: Any, grown: Any, obliged: Any
 ) -> tuple[bool, bool]:
-    """Update the distance obligations, `owing`, and add the distance rule to `grown` for two kinds of vehicles: those
+    """Update the distance obligations, `obliged`, and add the distance rule to `grown` for two kinds of vehicles: those
     that had an obligation and have come beside the ego in an owned lane, and those that the stored plan relies on to
     brake, `counted`. Rules in `grown` are violated only where the fail-safe loses its room (`RuleViolations`).
 
     Parameters
     ----------
-    owed : vehicles with an obligation in the scene before, (m,). counted : see `PathVerifier.counted`, (m,).
-    behind, held : see `RoadVehicles`, (m,). broken, grown : see `RuleViolations`, (m,). owing : obligations now, (m,),
-        written.
+    obliged_before : vehicles with an obligation in the scene before, (m,). counted : see `PathVerifier.counted`, (m,).
+    behind, in_owned_lane : see `RoadVehicles`, (m,). broken, grown : see `RuleViolations`, (m,). obliged : obligations
+        now, (m,), written.
 
     Returns
     -------
     Whether any vehicle has violated a rule, and whether any has taken more room.
     """
     some, more = False, False
-    for i in range(owed.shape[0]):
-        owing[i] = behind[i] and held[i]
-        if (owed[i] and held[i] and not behind[i]) or counted[i]:
+    for i in range(obliged_before.shape[0]):
+        obliged[i] = behind[i] and in_owned_lane[i]
+        if (obliged_before[i] and in_owned_lane[i] and not behind[i]) or counted[i]:
             grown[i] |= _DISTANCE
         some, more = some or broken[i] != 0, more or grown[i] != 0
     return some, more
@@ -99,7 +99,7 @@ class RoadMonitor:
 
     Attributes
     ----------
-    owing : vehicles with a distance obligation towards the ego, (m,) bool.
+    obliged : vehicles with a distance obligation towards the ego, (m,) bool.
     crashed : whether the ego had crashed.
     breaking : vehicles that violated a rule in that frame, (m,) bool.
     offenders : violators that may still be in the way of the ego's fail-safe, (m,) bool.
@@ -108,7 +108,7 @@ class RoadMonitor:
     unreadable : ids of the vehicles with numbers that are not readable; they are in none of the arrays.
     """
 
-    owing: BoolArray = field(default_factory=_nobody)
+    obliged: BoolArray = field(default_factory=_nobody)
     crashed: bool = False
     breaking: BoolArray = field(default_factory=_nobody)
     offenders: BoolArray = field(default_factory=_nobody)
@@ -154,17 +154,17 @@ class RoadMonitor:
         ----------
         same : index of each vehicle in the last scene, (m,), -1 for new ones; None if the order is the same.
         """
-        if same is None and len(self.owing) == m:
+        if same is None and len(self.obliged) == m:
             return self
         flags = np.zeros((3, m), dtype=bool)
         if same is not None:
             known = same >= 0
-            flags[:, known] = np.stack([self.owing, self.breaking, self.offenders])[:, same[known]]
-        return replace(self, owing=flags[0], breaking=flags[1], offenders=flags[2])
+            flags[:, known] = np.stack([self.obliged, self.breaking, self.offenders])[:, same[known]]
+        return replace(self, obliged=flags[0], breaking=flags[1], offenders=flags[2])
 
     def next(
         self,
-        survey: PathVerifier,
+        verifier: PathVerifier,
         before: OtherVehicles | VehicleTables | None,
         new: BoolArray | None,
         counted: BoolArray,
@@ -175,39 +175,39 @@ class RoadMonitor:
 
         Parameters
         ----------
-        survey : the scene, with what has been computed for its vehicles. Its surroundings refer to those of the scene
+        verifier : the scene, with what has been computed for its vehicles. Its surroundings refer to those of the scene
             before.
         before : the other vehicles in the scene before; None in the first scene, and where their states are estimates.
         new : vehicles that were not in the scene before, (m,) bool; None if there are none.
         counted : vehicles that the stored plan relies on to brake, (m,) bool. period : time since the scene before [s].
         fail_safe : called if a vehicle has taken more room than before.
         """
-        behind, held, ego = survey.behind, survey.held, survey.seen
-        crashed = bool(survey.scene.ego[Vehicle.CRASHED] > 0)
+        behind, in_owned_lane, ego = verifier.behind, verifier.in_owned_lane, verifier.seen
+        crashed = bool(verifier.scene.ego[Vehicle.CRASHED] > 0)
         if before is None:
             nobody = np.zeros(len(behind), dtype=bool)
-            return RoadMonitor(behind & held, crashed, nobody, nobody, self.count, self.by_rule)
+            return RoadMonitor(behind & in_owned_lane, crashed, nobody, nobody, self.count, self.by_rule)
         if crashed:
             ego = ego._replace(crashed=not self.crashed, wrecked=True)
-        broken, grown = rule_violations(before, survey.around, period, self.owing, ego)
+        broken, grown = rule_violations(before, verifier.around, period, self.obliged, ego)
         if new is not None:
-            appeared(new, survey.scene.others, ego, broken, grown)
-        owing = np.empty(len(broken), dtype=bool)
-        some, more = update_obligations(self.owing, counted, behind, held, broken, grown, owing)
+            appeared(new, verifier.scene.others, ego, broken, grown)
+        obliged = np.empty(len(broken), dtype=bool)
+        some, more = update_obligations(self.obliged, counted, behind, in_owned_lane, broken, grown, obliged)
         if more:
             # A vehicle that takes more room than before has to leave the ego's fail-safe its room.
-            mark_touching(ego, survey.scene.others, survey.scene.dt, grown, broken)
+            mark_touching(ego, verifier.scene.others, verifier.scene.dt, grown, broken)
             broken |= np.where(fail_safe() >= 0, 0, grown)
             some = bool(broken.any())
         breaking = broken != 0
         if not some:
-            return RoadMonitor(owing, crashed, breaking, self.offenders, self.count, self.by_rule)
+            return RoadMonitor(obliged, crashed, breaking, self.offenders, self.count, self.by_rule)
         count, by_rule = self.count, dict(self.by_rule)
         for i in np.flatnonzero(breaking & ~self.breaking):
             count += 1
             for rule in RoadRule(int(broken[i])):
                 by_rule[rule] = by_rule.get(rule, 0) + 1
-        return RoadMonitor(owing, crashed, breaking, self.offenders | breaking, count, by_rule)
+        return RoadMonitor(obliged, crashed, breaking, self.offenders | breaking, count, by_rule)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -119,7 +119,7 @@ class Clearance:
         return self.found[1 : 1 + len(self.rows)].T
 
     @property
-    def slipping(self) -> FloatArray:
+    def cutting_in(self) -> FloatArray:
         """Least separation of each path from each vehicle that may cut in, (n, c) [m]."""
         assert self.found is not None
         return self.found[1 + len(self.rows) :].T
@@ -155,7 +155,7 @@ class PathVerifier:
 
     Attributes
     ----------
-    size : the ego's footprint. behind, held : see `RoadVehicles`, (m,) bool.
+    size : the ego's footprint. behind, in_owned_lane : see `RoadVehicles`, (m,) bool.
     comes : whether each vehicle may enter each lane, (lanes, m).
     plan : `stored` and `entered`, -1 for None.
     """
@@ -196,15 +196,20 @@ class PathVerifier:
             offset = np.abs(road.centers - state[RoadState.R])
             in_sight = np.where(offset <= a.visible_distance, np.iinfo(np.intp).max, 0)
         m = len(scene.others)
-        self._of_others, slipping = empty_vehicles(m, lanes), np.empty((2 * m, 4))
+        self._of_others, cutting_in = empty_vehicles(m, lanes), np.empty((2 * m, 4))
         self._vehicles = VehicleTables(around.others, around.states, around.tables)
         self._ego = EgoArrays(scene.ego, state, self._size)
         ground = LaneState(road.centers, self.owned, in_sight)
         earlier = EarlierVehicles(_NOBODY if followers is None else followers, _NO_LANES if coming is None else coming)
-        out = SceneBuffers(self._of_others, slipping, np.empty((m, 4), np.bool_))
+        out = SceneBuffers(self._of_others, cutting_in, np.empty((m, 4), np.bool_))
         count = prepare_scene(self._vehicles, self._ego, ground, self._settings, self.plan, earlier, out)
         flags = self._of_others.flags
-        self._slipping, self.behind, self.held, self.comes = slipping[:count], flags[0], flags[1], flags[2 + lanes :]
+        self._cutting_in, self.behind, self.in_owned_lane, self.comes = (
+            cutting_in[:count],
+            flags[0],
+            flags[1],
+            flags[2 + lanes :],
+        )
 
     @cached_property
     def seen(self) -> EgoFootprint:
@@ -220,7 +225,7 @@ class PathVerifier:
 
     def counted(self, before: tuple[BoolArray, BoolArray] | None) -> BoolArray:
         """Vehicles that the stored plan relies on to brake, (m,) bool, see `mark_relied_on`. `before` is `behind` and
-        `held` of the scene before."""
+        `in_owned_lane` of the scene before."""
         out = np.zeros(len(self.behind), dtype=bool)
         if self.plan[0] >= 0 and before is not None:
             lanes = LaneState(self.scene.road.centers, self.owned, self._visible)
@@ -231,7 +236,7 @@ class PathVerifier:
         """The lane that the body enters on each path (n, K, 4), besides the owned ones and the one that it stops in,
         `fails` (n,); and the other results of `lanes_touched`."""
         size, road = self.size, self.scene.road
-        body, side = (size.length, size.width, size.bare_across), 0.5 * road.width
+        body, side = (size.length, size.width, size.body_growth_across), 0.5 * road.width
         return lanes_touched(self.scene.ego_road, paths, body, road.centers, side, self.owned, fails)
 
     def without(self, ignored: BoolArray) -> PathVerifier:
@@ -244,7 +249,7 @@ class PathVerifier:
         """The same without the precaution of cut-ins. The precaution may refuse plans, and the certificate does not
         rest on it: a vehicle that cuts in without leaving the fail-safe its room violates a rule."""
         other = copy(self)
-        other._slipping = self._slipping[:0]
+        other._cutting_in = self._cutting_in[:0]
         return other
 
     def relevant(self, distance: float, followers: bool = True) -> Any:
@@ -271,7 +276,7 @@ class PathVerifier:
             LaneState(self.scene.road.centers, self.owned, self._visible),
             self._vehicles,
             self._of_others,
-            self._slipping,
+            self._cutting_in,
             around.stretch,
             self._settings,
             around.settings,
@@ -300,12 +305,12 @@ class PathVerifier:
 def footprint_of(length: float, width: float, buffer: Buffer, bends: Any) -> tuple[Footprint, FloatArray]:
     """The ego's footprint, and its numbers, (8,). On a curve, the buffered footprint and the body extend further than
     on a straight road."""
-    growth, bare = (0.0, 0.0), (0.0, 0.0)
+    growth, body_growth = (0.0, 0.0), (0.0, 0.0)
     if bends is not None:
         growth = bends.growth(length + 2 * buffer.longitudinal, width + 2 * buffer.lateral)
-        bare = bends.growth(length, width)
+        body_growth = bends.growth(length, width)
     half = 0.5 * length + buffer.longitudinal, 0.5 * width + buffer.lateral
-    size = Footprint(*half, length, width, *growth, *bare)
+    size = Footprint(*half, length, width, *growth, *body_growth)
     return size, np.array(size, dtype=float)
 
 

@@ -61,12 +61,12 @@ def test_the_bounds_are_those_of_the_assumptions():
 
 def test_only_vehicles_with_an_obligation_are_left_out_of_the_margin():
     found = obligation_scene()
-    assert set(found.owes) == set(Obligation)
-    owing = np.array([duty is Obligation.DISTANCE for duty in found.owes])
+    assert set(found.obligations) == set(Obligation)
+    owing = np.array([duty is Obligation.DISTANCE for duty in found.obligations])
     assert np.isposinf(found.separations[owing]).all()
     assert found.margin == pytest.approx(found.separations[~owing].min())
     assert found.margin > 0
-    assert found.survey.others.comes[found.goal, found.owes.index(Obligation.ENTERS)]
+    assert found.verifier.others.comes[found.goal, found.obligations.index(Obligation.ENTERS)]
 
 
 def test_the_drawn_separations_are_those_of_the_clause():
@@ -80,7 +80,7 @@ def test_the_drawn_separations_are_those_of_the_clause():
     assert fail_safe.binding.clause != "cut-in"
     assert fail_safe.margin >= 0
     lanes = np.array([fail_safe.lane])
-    refused = now.survey.clearance(fail_safe.path[None], lanes, lanes)
+    refused = now.verifier.clearance(fail_safe.path[None], lanes, lanes)
     assert refused.binding(0).clause == "cut-in"
     assert float(refused.margin[0]) == pytest.approx(off, abs=0.1)
 

@@ -36,7 +36,7 @@ def test_a_lane_change_is_detected_under_noise(sigma):
             vy = 2.0 if 10 <= k < 20 else 0.0
             y += vy * dt
             seen = np.array([[20.0 * k * dt, y, 20.0, vy]]) + rng.normal(0, sigma, (1, 4))
-            tracks = update_tracks(tracks, seen, noise, dt, motions, patience=3)
+            tracks = update_tracks(tracks, seen, noise, dt, motions, missed_limit=3)
         found.append(abs(tracks.mean[0, 1] - 4.0))
         assert len(tracks.ids) == 1
     assert np.mean(found) < 0.7
@@ -55,13 +55,13 @@ def test_bounds_are_no_wider_than_those_predicted_from_the_frame_before():
         row = np.array([[60.0 + 25.0 * 0.2 * k + shift, 0.0, 0.0, 24.0 + slower, 6.0, 2.5, 0.0]])
         scene = Scene(ego, row, ROAD, control, 0.2, 5, k, np.array([1]), blurred=True)
         core.decide(scene, wish)
-        survey = core.memory.survey
-        rear = float(survey.around.states[0, 0]) - 3.0
+        verifier = core.memory.verifier
+        rear = float(verifier.around.states[0, 0]) - 3.0
         if back is not None:
             assert rear >= back - 1e-9
             assert rear >= row[0, 0] - 3.0 - 1e-9
         widest = max(widest, rear - (row[0, 0] - 3.0))
-        back = float(survey.around.rear(1)[0, 0])
+        back = float(verifier.around.rear(1)[0, 0])
     assert widest > 0.1
 
 
@@ -74,7 +74,7 @@ def test_newcomers_and_scenes_that_are_exact_are_not_narrowed():
     core = DecisionCore(MetaActionPipeline(ShieldConfig()))
     for scene in around:
         core.decide(scene, MetaActionProposal(1, control.actions, None))
-        assert float(core.memory.survey.around.states[0, 0]) == 60.0
+        assert float(core.memory.verifier.around.states[0, 0]) == 60.0
 
 
 def test_a_delayed_observation_is_extrapolated_to_the_present():
@@ -257,12 +257,12 @@ def test_a_likely_place_in_the_way_is_braked_for():
 
 def test_bounds_are_narrowed_towards_the_likely_place():
     scene = hemmed((1.0, 0.0), (9.0, 4.0))
-    np.testing.assert_array_equal(scene.narrowed(1.0).others, scene.others)
-    np.testing.assert_array_equal(scene.narrowed(0.0).others, scene.likely)
-    lengths = [scene.narrowed(share).others[0, 4] for share in (0.0, 0.25, 0.5, 1.0)]
+    np.testing.assert_array_equal(scene.with_shrunk_bounds(1.0).others, scene.others)
+    np.testing.assert_array_equal(scene.with_shrunk_bounds(0.0).others, scene.likely)
+    lengths = [scene.with_shrunk_bounds(share).others[0, 4] for share in (0.0, 0.25, 0.5, 1.0)]
     assert lengths == pytest.approx([5.0, 25.0, 45.0, 85.0])
     exact = replace(scene, likely=None)
-    assert exact.narrowed(0.5) is exact
+    assert exact.with_shrunk_bounds(0.5) is exact
 
 
 def test_a_noisy_observation_has_likely_places():

@@ -68,11 +68,11 @@ def test_the_order_of_the_rows_changes_nothing(seed):
         one, other = (core.decide(each, wish) for core, each in zip(cores, scenes, strict=True))
         assert (one.executed, one.tier, one.reason) == (other.executed, other.tier, other.reason)
         assert one.margin == pytest.approx(other.margin, abs=1e-9, nan_ok=True)
-        left, right = (core.memory.survey for core in cores)
+        left, right = (core.memory.verifier for core in cores)
         back = np.argsort(mixed)
         np.testing.assert_allclose(left.around.tables.numbers, right.around.tables.numbers[:, back])
         np.testing.assert_array_equal(left.comes, right.comes[:, back])
-        np.testing.assert_array_equal(left.held, right.held[back])
+        np.testing.assert_array_equal(left.in_owned_lane, right.in_owned_lane[back])
         lost += many - len(seen)
         if k % 5 == 0:
             base.action_type.act(one.executed)
@@ -91,7 +91,7 @@ def test_the_filter_is_calibrated():
     tracks, found, outside = Tracks(), [], 0
     for k in range(60):
         seen = truth + rng.multivariate_normal(np.zeros(4), noise, n)
-        tracks = update_tracks(tracks, seen, noise, dt, MotionModels(a, a, a, cruise=ANY, sideways=1e3))
+        tracks = update_tracks(tracks, seen, noise, dt, MotionModels(a, a, a, usual_speed=ANY, sideways=1e3))
         if k > 20:
             found.append(tracks.innovation)
             spread = np.sqrt(np.einsum("nii->ni", tracks.covariance))
@@ -124,15 +124,15 @@ def test_a_vehicle_that_leaves_is_dropped_and_a_new_one_gets_a_new_number():
     assert tracks.ids.tolist() == [2, 3]
 
 
-@given(patience=st.integers(0, 4), gone=st.integers(1, 6))
-def test_a_vehicle_may_be_missing_up_to_the_limit(patience, gone):
+@given(missed_limit=st.integers(0, 4), gone=st.integers(1, 6))
+def test_a_vehicle_may_be_missing_up_to_the_limit(missed_limit, gone):
     noise, state = np.eye(4) * 0.01, np.array([[0.0, 0.0, 20.0, 0.0]])
-    motions = MotionModels(cruise=ANY)
-    tracks = update_tracks(Tracks(), state, noise, 0.1, motions, patience)
+    motions = MotionModels(usual_speed=ANY)
+    tracks = update_tracks(Tracks(), state, noise, 0.1, motions, missed_limit)
     for _ in range(gone):
-        tracks = update_tracks(tracks, np.zeros((0, 4)), noise, 0.1, motions, patience)
-    assert len(tracks.ids) == (gone <= patience)
-    if gone <= patience:
+        tracks = update_tracks(tracks, np.zeros((0, 4)), noise, 0.1, motions, missed_limit)
+    assert len(tracks.ids) == (gone <= missed_limit)
+    if gone <= missed_limit:
         assert tracks.mean[0, 0] == pytest.approx(2.0 * gone)
 
 
@@ -148,7 +148,7 @@ def test_the_memory_of_recognised_vehicles_is_that_of_exact_scenes():
         wish = MetaActionProposal(1, reader.actions, None)
         exact.decide(scene, wish)
         known.decide(replace(scene, others=scene.others[mixed], ids=mixed), wish)
-        one, other = exact.memory.survey.around.tables, known.memory.survey.around.tables
+        one, other = exact.memory.verifier.around.tables, known.memory.verifier.around.tables
         np.testing.assert_allclose(one.numbers[:, mixed], other.numbers, atol=1e-9)
         np.testing.assert_allclose(one.recent[mixed], other.recent, atol=1e-9)
         spent = max(spent, float(one.recent.max(initial=0.0)))

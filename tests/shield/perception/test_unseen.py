@@ -83,13 +83,13 @@ def test_an_unseen_vehicle_approaches_at_its_assumed_limit():
     behind.go_on(unseen, 10.0, 20.0, 0.0, nobody, nobody)
     for _ in range(20):
         behind.go_on(unseen, 10.0, 20.0, 0.2, nobody, nobody)
-    assert behind.stranger == pytest.approx(-60.0)
+    assert behind.nearest_unseen == pytest.approx(-60.0)
     states = behind.states(unseen, ROAD, np.array([500.0, 4.0, 0.0, 20.0]), 200.0)
     assert states[:, 0].tolist() == pytest.approx([440.0] * 4)
     assert not len(behind.states(unseen, ROAD, np.array([500.0, 4.0, 0.0, 20.0]), 50.0))
     for _ in range(100):
         behind.go_on(unseen, 10.0, 20.0, 0.2, nobody, nobody)
-    assert behind.stranger == -10.0
+    assert behind.nearest_unseen == -10.0
 
 
 def test_a_full_shuffled_observation_gives_no_edge():

@@ -157,7 +157,7 @@ WATCHED = (
         REACTION,
         "_raise_braking",
         "max(_[_], _)",
-        "motion.calm",
+        "motion.comfortable_braking",
         TESTS_OF_REACTION,
     ),
     off(

@@ -71,7 +71,7 @@ class SceneArrays(NamedTuple):
     Attributes
     ----------
     ego, lanes : the ego and the lanes.
-    vehicles, of_others, slipping : the other vehicles, see `shield.certificate.road.clauses.scene.prepare_scene`.
+    vehicles, of_others, cutting_in : the other vehicles, see `shield.certificate.road.clauses.scene.prepare_scene`.
     stretch : distance along the road for each metre driven, (2, m), or (2, 0) on a straight road.
     settings, motion : the numbers of `ClauseSettings` and of `Motion`.
     table : of the road, see `dynamics.vehicle.rollout_kernels`.
@@ -81,7 +81,7 @@ class SceneArrays(NamedTuple):
     lanes: LaneState
     vehicles: VehicleTables
     of_others: VehicleBuffers
-    slipping: FloatArray
+    cutting_in: FloatArray
     stretch: FloatArray
     settings: FloatArray
     motion: FloatArray
@@ -99,7 +99,7 @@ class _PathResults(NamedTuple):
 
 @kernel_inline
 def _rears(
-    desk: ClauseWorkspace,
+    workspace: ClauseWorkspace,
     frames: int,
     around: SceneVehicles,
     hold: int,
@@ -115,27 +115,33 @@ def _rears(
     vehicles = VehicleBodies(around.rows, around.states, bodies)
     for n in range(rows.shape[0]):
         j = rows[n]
-        if desk.done[kind, j] < frames:
-            enough = min(frames + _AHEAD, desk.rears.shape[2])
-            rear_of(j, vehicles, around.stretch, around.motion, hold, desk.rears[kind, j, :enough])
-            desk.done[kind, j] = enough
+        if workspace.done[kind, j] < frames:
+            enough = min(frames + _AHEAD, workspace.rears.shape[2])
+            rear_of(j, vehicles, around.stretch, around.motion, hold, workspace.rears[kind, j, :enough])
+            workspace.done[kind, j] = enough
         for k in range(frames):
-            out[n, k] = desk.rears[kind, j, k]
+            out[n, k] = workspace.rears[kind, j, k]
         if last and hold == 0:
             out[n, frames - 1] = min(out[n, frames - 1], bodies.floor[j] - bodies.reach[j])
 
 
 @kernel_inline
-def _lateral(plan: PlannedPath, scene: ClauseScene, q: int, hold: int, desk: ClauseWorkspace) -> tuple[int, int]:
+def _lateral(plan: PlannedPath, scene: ClauseScene, q: int, hold: int, workspace: ClauseWorkspace) -> tuple[int, int]:
     """Write the lateral extents of the first `q` vehicles of `desk.near` to `desk.sides`, and their lanes to
     `desk.home`. Return the frames from which the ego is not visible in the lanes that the path commits to and stops in,
     or K."""
-    frames, near, home, low, high = plan.path.shape[0], desk.near, desk.home, desk.sides[0], desk.sides[1]
+    frames, near, home, low, high = (
+        plan.path.shape[0],
+        workspace.near,
+        workspace.home,
+        workspace.sides[0],
+        workspace.sides[1],
+    )
     others, centers, x = scene.around.others, scene.ground.centers, scene.settings
     lane, fail, r, path, widths = plan.lane, plan.fail, scene.state[1], plan.path, scene.around.rows[:, _WIDTH]
-    if x.blind > 0 and hold == 0:
+    if x.simultaneous_merging > 0 and hold == 0:
         out = LateralExtents(low, high, home)
-        lateral_extents((lane, fail), near[:q], others, widths, centers, x.waver, out)
+        lateral_extents((lane, fail), near[:q], others, widths, centers, x.lateral_deviation, out)
         return leaves_sight(r, path, centers[lane], x.seen), leaves_sight(r, path, centers[fail], x.seen)
     for j in range(q):
         low[j], high[j], home[j] = others.low[near[j]], others.high[near[j]], others.lane[near[j]]
@@ -151,7 +157,7 @@ def _widened(
     (most_left, most_right), later = sides, plan.path.shape[0]
     if min(since[0], since[1]) < later:
         others, centers, x = scene.around.others, scene.ground.centers, scene.settings
-        frames, core = later, 0.5 * scene.around.rows[k, _WIDTH] + x.waver
+        frames, core = later, 0.5 * scene.around.rows[k, _WIDTH] + x.lateral_deviation
         later = min(since[0], since[1])
         for step in range(2):
             if since[step] < frames:
@@ -162,21 +168,21 @@ def _widened(
 
 
 @kernel_inline
-def _separations(plan: PlannedPath, scene: ClauseScene, q: int, hold: int, desk: ClauseWorkspace) -> int:
+def _separations(plan: PlannedPath, scene: ClauseScene, q: int, hold: int, workspace: ClauseWorkspace) -> int:
     """Write the least separation of a path from each of the first `q` vehicles of `desk.near`, which have no distance
     obligation, to `desk.apart` [m]. Return the number of frames before the first negative separation."""
-    frames, near, home, found = plan.path.shape[0], desk.near, desk.home, desk.apart
+    frames, near, home, found = plan.path.shape[0], workspace.near, workspace.home, workspace.apart
     x, foot, around, others = scene.settings, scene.foot, scene.around, scene.around.others
     centers, visible, response = scene.ground.centers, scene.ground.visible, follower_response_of(x, hold)
-    since = _lateral(plan, scene, q, hold, desk)
-    ego = extents(plan.path, plan.turned, foot, x.dt, desk.bounds)
+    since = _lateral(plan, scene, q, hold, workspace)
+    ego = extents(plan.path, plan.turned, foot, x.dt, workspace.bounds)
     if not ego.finite:
         for j in range(q):
             found[j] = np.nan
         return 0
     bodies, states, stretch, reached = around.bodies, around.states, around.stretch, frames
     for j in range(q):
-        k, left, right = near[j], desk.sides[0, j], desk.sides[1, j]
+        k, left, right = near[j], workspace.sides[0, j], workspace.sides[1, j]
         s, v, length = states[k, 0], states[k, 3], bodies.reach[k]
         most_left, most_right, later = _widened(k, (left, right), since, plan, scene)
         beside = max(most_left - ego.highest, ego.lowest - most_right)
@@ -185,7 +191,7 @@ def _separations(plan: PlannedPath, scene: ClauseScene, q: int, hold: int, desk:
             # Its longitudinal position makes no difference.
             found[j] = beside
             continue
-        _rears(desk, frames, around, hold, near[j : j + 1], desk.rear, True)
+        _rears(workspace, frames, around, hold, near[j : j + 1], workspace.rear, True)
         goal, at_once, already = centers[home[j]], -1, visible[home[j]]
         if already > 0:
             at_once = max(response.reaction + 1 - already, 0)
@@ -193,35 +199,37 @@ def _separations(plan: PlannedPath, scene: ClauseScene, q: int, hold: int, desk:
         other = UnobligatedVehicle(
             left, right, most_left, most_right, later, length, others.behind[k], goal, at_once, v, s + length, most
         )
-        found[j], first = separation(plan, ego, desk.bounds, foot, other, desk.rear[0], response)
+        found[j], first = separation(plan, ego, workspace.bounds, foot, other, workspace.rear[0], response)
         reached = min(reached, first)
     return reached
 
 
 @kernel_inline
-def _slips(path: FloatArray, scene: ClauseScene, found: FloatArray, ignored: BoolArray, desk: ClauseWorkspace) -> None:
+def _cut_ins(
+    path: FloatArray, scene: ClauseScene, found: FloatArray, ignored: BoolArray, workspace: ClauseWorkspace
+) -> None:
     """Write the least separation of a path from each candidate for a cut-in, a row of `found`, to `desk.away` [m]; +inf
     where it does not cut in."""
-    frames, c, out = path.shape[0], found.shape[0], desk.away
+    frames, c, out = path.shape[0], found.shape[0], workspace.away
     for k in range(c):
         out[k] = np.inf
     if c == 0:
         return
-    around, centers, rows = scene.around, scene.ground.centers, desk.slipping[:c]
+    around, centers, rows = scene.around, scene.ground.centers, workspace.cutting_in[:c]
     vehicles = VehicleBodies(around.rows, around.states, around.bodies)
-    slips = cut_ins_of(found, vehicles, centers, scene.settings, rows, desk.slips[:, :c])
-    if not any_cut_in(path, slips, centers):
+    cut_ins = cut_ins_of(found, vehicles, centers, scene.settings, rows, workspace.cut_ins[:, :c])
+    if not any_cut_in(path, cut_ins, centers):
         return
     # None of the requested frames stands for all frames that follow.
-    rear, front, sweep = desk.ways[0, :c], desk.ways[1, :c], desk.sweep[:c]
-    if desk.swept[0] < frames:
-        enough = min(frames + _AHEAD, desk.ways.shape[2])
-        _rears(desk, enough, around, 0, rows, rear, False)
+    rear, front, sweep = workspace.ways[0, :c], workspace.ways[1, :c], workspace.sweep[:c]
+    if workspace.swept[0] < frames:
+        enough = min(frames + _AHEAD, workspace.ways.shape[2])
+        _rears(workspace, enough, around, 0, rows, rear, False)
         for k in range(c):
             front_of(rows[k], vehicles, around.stretch, around.motion, 0, front[k, :enough])
-        sweeps(rows, slips, vehicles, scene.table, desk.turns[:c], sweep)
-        desk.swept[0] = enough
-    cut_in_separations(path, scene.foot, slips, CutInBounds(rear, front, sweep), centers, out)
+        sweeps(rows, cut_ins, vehicles, scene.table, workspace.turns[:c], sweep)
+        workspace.swept[0] = enough
+    cut_in_separations(path, scene.foot, cut_ins, CutInBounds(rear, front, sweep), centers, out)
     if ignored.shape[0] > 0:
         for k in range(c):
             if ignored[rows[k]]:
@@ -229,34 +237,34 @@ def _slips(path: FloatArray, scene: ClauseScene, found: FloatArray, ignored: Boo
 
 
 @kernel_inline
-def _binding(margin: float, q: int, c: int, slips: FloatArray, desk: ClauseWorkspace) -> tuple[int, int]:
+def _binding(margin: float, q: int, c: int, cut_ins: FloatArray, workspace: ClauseWorkspace) -> tuple[int, int]:
     """The binding clause of a margin, and the row of the binding vehicle."""
     least, at = np.inf, -1
     for j in range(q):
-        if at < 0 or desk.apart[j] < least:
-            least, at = desk.apart[j], j
+        if at < 0 or workspace.apart[j] < least:
+            least, at = workspace.apart[j], j
     if at >= 0 and least <= margin:
-        return SEPARATION_BINDS, desk.near[at]
+        return SEPARATION_BINDS, workspace.near[at]
     least, at = np.inf, -1
     for k in range(c):
-        if at < 0 or desk.away[k] < least:
-            least, at = desk.away[k], k
+        if at < 0 or workspace.away[k] < least:
+            least, at = workspace.away[k], k
     if at >= 0 and least <= margin:
-        return CUT_IN_BINDS, int(slips[at, 0])
+        return CUT_IN_BINDS, int(cut_ins[at, 0])
     return (NOTHING_BINDS if margin == np.inf else ROOM_BINDS), -1
 
 
 @kernel_inline
 def evaluate_path(
-    plan: PlannedPath, scene: ClauseScene, hold: int, ignored: BoolArray, desk: ClauseWorkspace
+    plan: PlannedPath, scene: ClauseScene, hold: int, ignored: BoolArray, workspace: ClauseWorkspace
 ) -> tuple[float, int, int, int]:
     """Evaluate the clauses for one path.
 
     Parameters
     ----------
     hold, ignored : as in `evaluate_paths`.
-    desk : workspace. Written: the vehicles in reach, `near`; the separations from them, `apart`; those from cut-ins,
-        `away`; and the room, `room`.
+    workspace : workspace. Written: the vehicles in reach, `near`; the separations from them, `apart`; those from
+        cut-ins, `away`; and the room, `room`.
 
     Returns
     -------
@@ -264,31 +272,31 @@ def evaluate_path(
     binding vehicle.
     """
     path, turned, foot, ground, x = plan.path, plan.turned, scene.foot, scene.ground, scene.settings
-    frames, others, state, slipping = path.shape[0], scene.around.others, scene.state, scene.slipping
-    desk.room[0] = room_of(path, turned, foot, ground.centers[plan.fail], 0.5 * x.width, x.bent > 0)
+    frames, others, state, cutting_in = path.shape[0], scene.around.others, scene.state, scene.cutting_in
+    workspace.room[0] = room_of(path, turned, foot, ground.centers[plan.fail], 0.5 * x.width, x.bent > 0)
     way = path[frames - 1, 0] - state[0]
     # A distance that is not a number excludes no vehicle.
     reach = (way if way == way else np.inf, x.perception)
-    q = find_unobligated(others, reach, plan, ground, state, foot, desk.near)
+    q = find_unobligated(others, reach, plan, ground, state, foot, workspace.near)
     if ignored.shape[0] > 0:
         kept = 0
         for j in range(q):
-            if not ignored[desk.near[j]]:
-                desk.near[kept] = desk.near[j]
+            if not ignored[workspace.near[j]]:
+                workspace.near[kept] = workspace.near[j]
                 kept += 1
         q = kept
     reached = frames
     if q > 0:
-        reached = _separations(plan, scene, q, hold, desk)
-    c = slipping.shape[0] if hold == 0 else 0
-    _slips(path, scene, slipping[:c], ignored, desk)
-    margin = margin_of(desk.apart[:q], desk.away[:c], desk.room[0])
+        reached = _separations(plan, scene, q, hold, workspace)
+    c = cutting_in.shape[0] if hold == 0 else 0
+    _cut_ins(path, scene, cutting_in[:c], ignored, workspace)
+    margin = margin_of(workspace.apart[:q], workspace.away[:c], workspace.room[0])
     if q == 0:
         for k in range(frames):
             if not math.isfinite(path[k, 0] + path[k, 1] + path[k, 2] + path[k, 3]):
                 margin = np.nan
-    clause, vehicle = _binding(margin, q, c, slipping, desk)
-    desk.found[0] = q
+    clause, vehicle = _binding(margin, q, c, cutting_in, workspace)
+    workspace.found[0] = q
     return margin, reached, clause, vehicle
 
 
@@ -299,32 +307,32 @@ def _named(scene: SceneArrays) -> ClauseScene:
     bodies, motion, settings = vehicles.bodies, motion_of(scene.motion), settings_from(scene.settings)
     others = vehicles_from(bodies, of_others.numbers, of_others.flags)
     around = SceneVehicles(vehicles.rows, vehicles.states, scene.stretch, bodies, motion, others)
-    return ClauseScene(scene.ego.state, around, scene.lanes, scene.slipping, foot, settings, scene.table)
+    return ClauseScene(scene.ego.state, around, scene.lanes, scene.cutting_in, foot, settings, scene.table)
 
 
 @kernel_no_refcount
-def _judge_each(
+def _verify_each(
     candidates: CandidatePaths,
     arrays: SceneArrays,
     hold: int,
     ignored: BoolArray,
-    desk: ClauseWorkspace,
+    workspace: ClauseWorkspace,
     out: _PathResults,
 ) -> None:
     """Fill in the results of `evaluate_paths`."""
     scene, paths, found, marked, near = _named(arrays), candidates.paths, out.found, out.marked, out.near
     m = near.shape[0]
     for i in range(paths.shape[0]):
-        turns(paths[i], desk.turned)
-        plan = PlannedPath(paths[i], desk.turned, candidates.lanes[i], candidates.fails[i])
-        margin, reached, clause, vehicle = evaluate_path(plan, scene, hold, ignored, desk)
-        found[0, i], found[1, i] = margin, desk.room[0]
+        turns(paths[i], workspace.turned)
+        plan = PlannedPath(paths[i], workspace.turned, candidates.lanes[i], candidates.fails[i])
+        margin, reached, clause, vehicle = evaluate_path(plan, scene, hold, ignored, workspace)
+        found[0, i], found[1, i] = margin, workspace.room[0]
         marked[0, i], marked[1, i], marked[2, i] = reached, clause, vehicle
-        for j in range(desk.found[0]):
-            near[desk.near[j]] = True
-            found[2 + desk.near[j], i] = desk.apart[j]
+        for j in range(workspace.found[0]):
+            near[workspace.near[j]] = True
+            found[2 + workspace.near[j], i] = workspace.apart[j]
         for k in range(found.shape[0] - 2 - m):
-            found[2 + m + k, i] = desk.away[k]
+            found[2 + m + k, i] = workspace.away[k]
 
 
 @compiled
@@ -347,10 +355,10 @@ def evaluate_paths(
     near : rows of the vehicles in reach of any path, (q,).
     """
     n, frames, m = candidates.paths.shape[0], candidates.paths.shape[1], scene.vehicles.states.shape[0]
-    c = scene.slipping.shape[0] if hold == 0 else 0
-    desk, near = new_clause_workspace(m, frames, scene.settings[15]), np.zeros(m, np.bool_)
+    c = scene.cutting_in.shape[0] if hold == 0 else 0
+    workspace, near = new_clause_workspace(m, frames, scene.settings[15]), np.zeros(m, np.bool_)
     found, marked = np.full((2 + m + c, n), np.inf), np.empty((3, n), np.intp)
-    _judge_each(candidates, scene, hold, ignored, desk, _PathResults(found, marked, near))
+    _verify_each(candidates, scene, hold, ignored, workspace, _PathResults(found, marked, near))
     kept = np.ones(2 + m + c, np.bool_)
     kept[2 : 2 + m] = near
     return found[kept], marked, np.flatnonzero(near)

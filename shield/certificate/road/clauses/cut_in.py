@@ -198,7 +198,7 @@ def cut_ins_of(
 @kernel_no_refcount
 def sweeps(
     rows: IntArray,
-    slips: CutIns,
+    cut_ins: CutIns,
     vehicles: VehicleBodies,
     table: FloatArray,
     paths: FloatArray,
@@ -217,8 +217,8 @@ def sweeps(
     frames = out.shape[1]
     for k in range(rows.shape[0]):
         j = rows[k]
-        goal = slips.goals[k]
-        roll_stop(states[j], StopTarget(goal, goal, slips.speeds[k], frames, 0.0), table, slips.dt, paths[k])
+        goal = cut_ins.goals[k]
+        roll_stop(states[j], StopTarget(goal, goal, cut_ins.speeds[k], frames, 0.0), table, cut_ins.dt, paths[k])
         low, high, length, width = bodies.low[j], bodies.high[j], others[j, 4], others[j, 5]
         for f in range(frames):
             r, sin, cos = paths[k, f, 1], abs(math.sin(paths[k, f, 2])), abs(math.cos(paths[k, f, 2]))
@@ -228,23 +228,23 @@ def sweeps(
 
 
 @kernel_inline
-def _begins(s: float, r: float, u: float, k: int, j: int, slips: CutIns) -> tuple[bool, bool, bool]:
+def _begins(s: float, r: float, u: float, k: int, j: int, cut_ins: CutIns) -> tuple[bool, bool, bool]:
     """Whether vehicle `j` may begin to cut in at frame k of a path; whether it may if it is restrained as it is now;
     and whether the ego is ahead of it.
 
     `s`, `r` and `u` are position [m] and speed [m/s] of the path at frame k.
     """
-    v, t = slips.speeds[j], slips.dt * (k + 1)
-    ahead = s - slips.starts[j] - v * t
-    seen = abs(r - slips.goals[j]) <= slips.sight
+    v, t = cut_ins.speeds[j], cut_ins.dt * (k + 1)
+    ahead = s - cut_ins.starts[j] - v * t
+    seen = abs(r - cut_ins.goals[j]) <= cut_ins.sight
     if not ahead > 0:
         wanted = desired_gap(u, u - v)
         return seen and abs(wanted) <= _HARDLY - IMPOSED * ahead + _DRIFT * min(t, _BRAKES), False, False
     wanted = desired_gap(v, v - u)
-    may = seen and abs(wanted) <= slips.ratios[0, j] * ahead + _SLACK + _DRIFT * min(t, _BRAKES)
+    may = seen and abs(wanted) <= cut_ins.ratios[0, j] * ahead + _SLACK + _DRIFT * min(t, _BRAKES)
     # Until then it brakes behind its own leader, by IDM.
-    slows = min(COMFORT * slips.ratios[1, j] ** 2, slips.braking)
-    at_once = slips.ratios[1, j] * (ahead + 0.5 * slows * t * t) + _HARDLY + _CHANGES * t
+    slows = min(COMFORT * cut_ins.ratios[1, j] ** 2, cut_ins.braking)
+    at_once = cut_ins.ratios[1, j] * (ahead + 0.5 * slows * t * t) + _HARDLY + _CHANGES * t
     slow = max(v - slows * t, 0.0)
     return may, seen and min(wanted, desired_gap(slow, slow - u)) <= at_once and wanted >= -at_once, True
 
@@ -259,16 +259,16 @@ def _offset(r: float, centers: FloatArray) -> float:
 
 
 @kernel_no_refcount
-def any_cut_in(path: FloatArray, slips: CutIns, centers: FloatArray) -> bool:
+def any_cut_in(path: FloatArray, cut_ins: CutIns, centers: FloatArray) -> bool:
     """Whether any vehicle may cut in where `cut_in_separations` considers it, or the path (K, 4) is not
     finite."""
-    for j in range(slips.goals.shape[0]):
+    for j in range(cut_ins.goals.shape[0]):
         began = False
         for k in range(path.shape[0]):
             s, r, u = path[k, 0], path[k, 1], path[k, 3]
             if not math.isfinite(s + r + path[k, 2] + u):
                 return True
-            may, at_once, _ = _begins(s, r, u, k, j, slips)
+            may, at_once, _ = _begins(s, r, u, k, j, cut_ins)
             began = began or may
             if began and (at_once or _offset(r, centers) > _CENTRED):
                 return True
@@ -279,7 +279,7 @@ def any_cut_in(path: FloatArray, slips: CutIns, centers: FloatArray) -> bool:
 def cut_in_separations(
     path: FloatArray,
     size: Footprint,
-    slips: CutIns,
+    cut_ins: CutIns,
     bounds: CutInBounds,
     centers: FloatArray,
     out: FloatArray,
@@ -290,9 +290,9 @@ def cut_in_separations(
     The first frame at which it may begin is the worst: later it reaches furthest. Once the bodies no longer overlap
     along the road, the vehicle has a distance obligation.
     """
-    rear, front, sweep, dt = bounds.rear, bounds.front, bounds.sweep, slips.dt
+    rear, front, sweep, dt = bounds.rear, bounds.front, bounds.sweep, cut_ins.dt
     lon, lat = size.along, size.across
-    for j in range(slips.goals.shape[0]):
+    for j in range(cut_ins.goals.shape[0]):
         began, begun, leads, least = -1, -1, False, np.inf
         for k in range(path.shape[0]):
             s, r, psi, u = path[k, 0], path[k, 1], path[k, 2], path[k, 3]
@@ -300,7 +300,7 @@ def cut_in_separations(
                 least = np.nan
                 break
             if begun < 0:
-                may, at_once, ahead_of = _begins(s, r, u, k, j, slips)
+                may, at_once, ahead_of = _begins(s, r, u, k, j, cut_ins)
                 if began < 0 and may:
                     began, leads = k, ahead_of
                 if at_once:
@@ -321,8 +321,8 @@ def cut_in_separations(
             across = max(sweep[j, since, 0] - r - half_r, r - half_r - sweep[j, since, 1])
             along = max(rear[j, k] - s - half_s, s - half_s - front[j, k])
             if offset <= _CENTRED:
-                nose = slips.starts[j] + slips.speeds[j] * dt * (k + 1) + slips.reaches[j]
-                nose += 0.5 * slips.gain * (since * dt) ** 2
+                nose = cut_ins.starts[j] + cut_ins.speeds[j] * dt * (k + 1) + cut_ins.reaches[j]
+                nose += 0.5 * cut_ins.gain * (since * dt) ** 2
                 along = s - half_s - nose
             least = min(least, max(along, across))
         out[j] = least

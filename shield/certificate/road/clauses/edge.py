@@ -44,17 +44,17 @@ def lanes_touched(
     entered, allowed, on_road = fails.copy(), np.ones(n, np.bool_), np.full(n, frames)
     edges = np.empty((n, 2))
     first, last = centers[0] - side, centers[lanes - 1] + side
-    length, width, bare = body
+    length, width, growth = body
     within, beside, entering = np.empty(lanes, np.bool_), np.empty(lanes, np.bool_), np.empty(lanes, np.bool_)
     for i in range(n):
-        half = 0.5 * (length * abs(math.sin(state[2])) + width * abs(math.cos(state[2]))) + bare
+        half = 0.5 * (length * abs(math.sin(state[2])) + width * abs(math.cos(state[2]))) + growth
         for j in range(lanes):
             offset = abs(state[1] - centers[j])
             within[j], beside[j], entering[j] = offset < TOUCH + half, offset < side + half, False
         least, most = np.inf, -np.inf
         for k in range(frames):
             r, psi = paths[i, k, 1], paths[i, k, 2]
-            half = 0.5 * (length * abs(math.sin(psi)) + width * abs(math.cos(psi))) + bare
+            half = 0.5 * (length * abs(math.sin(psi)) + width * abs(math.cos(psi))) + growth
             if not math.isfinite(r + half):
                 least, most, allowed[i], on_road[i] = np.nan, np.nan, False, 0
                 break
@@ -81,19 +81,21 @@ def lanes_touched(
 
 
 @compiled
-def verdicts(margin: FloatArray, edges: FloatArray, allowed: BoolArray, paths: FloatArray, held: int) -> FloatArray:
+def verdicts(
+    margin: FloatArray, edges: FloatArray, allowed: BoolArray, paths: FloatArray, input_frames: int
+) -> FloatArray:
     """Reduce margins (n,) by the room that each path lacks at the edges of the road, (n, 2) [m].
 
-    The result is -inf for a path that is not allowed, or that moves backwards after `held` frames: such a path has no
-    fail-safe, since the brake only stops forward motion.
+    The result is -inf for a path that is not allowed, or that moves backwards after `in_owned_lane` frames: such a
+    path has no fail-safe, since the brake only stops forward motion.
     """
     out = np.empty(margin.shape[0])
     for i in range(margin.shape[0]):
-        room = min(edges[i, 0], edges[i, 1])
-        if not allowed[i] or paths[i, held - 1, 3] < -1e-9:
+        edge_margin = min(edges[i, 0], edges[i, 1])
+        if not allowed[i] or paths[i, input_frames - 1, 3] < -1e-9:
             out[i] = -np.inf
         elif math.isnan(edges[i, 0] + edges[i, 1]) or math.isnan(margin[i]):
             out[i] = np.nan
         else:
-            out[i] = margin[i] if room >= 0 else min(margin[i], room)
+            out[i] = margin[i] if edge_margin >= 0 else min(margin[i], edge_margin)
     return out

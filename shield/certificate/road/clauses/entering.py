@@ -57,21 +57,21 @@ def neighbours(
     before: BoolArray,
     visible: IntArray,
     plan: tuple[int, int],
-    asked: BoolArray,
+    requested: BoolArray,
 ) -> None:
-    """For each vehicle, fill in `others.beside`, the lanes beside its band; and `asked`, (v, 2), whether it matters if
-    it gains by a change into the lane below its own, and above. The rest as in `mark_entrants`."""
+    """For each vehicle, fill in `others.beside`, the lanes beside its band; and `requested`, (v, 2), whether it
+    matters if it gains by a change into the lane below its own, and above. The rest as in `mark_entrants`."""
     low, high, lane, besides = others.low, others.high, others.lane, others.beside
     n, v = centers.shape[0], others.lane.shape[0]
     known = before.shape[0] == n and before.shape[1] == v
     for j in range(v):
-        asked[j, 0] = asked[j, 1] = False
+        requested[j, 0] = requested[j, 1] = False
         for k in range(n):
             # Beside the lane: the next band begins where this one ends.
             beside = is_beside(low[j], high[j], centers[k], width) and abs(centers[lane[j]] - centers[k]) < 1.5 * width
             besides[k, j] = beside
             if beside and not (known and (visible[k] > 0 or k == plan[0] or k == plan[1])):
-                asked[j, 1 if centers[k] > high[j] else 0] = True
+                requested[j, 1 if centers[k] > high[j] else 0] = True
 
 
 @kernel_no_refcount
@@ -95,7 +95,8 @@ def mark_entrants(
     Parameters
     ----------
     others : the vehicles, (v,).
-    gains : see `dynamics.traffic.mobil.lane_change_incentives`, (v, 2) bool; valid where `neighbours` has set `asked`.
+    gains : see `dynamics.traffic.mobil.lane_change_incentives`, (v, 2) bool; valid where `neighbours` has set
+        `requested`.
     lanes : of the scene.
     before : `others.comes` of the scene before, (lanes, v); of another shape if there was none.
     plan : lane in which the stored plan stops, and lane that it enters on the way, or -1.
@@ -131,7 +132,7 @@ def lateral_extents(
     others: RoadVehicles,
     widths: FloatArray,
     centers: FloatArray,
-    waver: float,
+    lateral_deviation: float,
     out: LateralExtents,
 ) -> None:
     """Write the lateral extents of each vehicle for a path, and its lane, to `out`. They hold until the ego is no
@@ -142,7 +143,7 @@ def lateral_extents(
     entered : lanes that the path commits to and stops in.
     rows : rows of the vehicles, (m,). others : all vehicles, (v,). widths : of their bodies, (v,) [m].
     centers : of the lanes [m].
-    waver : greatest lateral deviation of a body from its lane's centre while it keeps to the centre [m].
+    lateral_deviation : greatest lateral deviation of a body from its lane's centre while it keeps to the centre [m].
     """
     lane, fail, low, high, home = entered[0], entered[1], out.low, out.high, out.home
     lows, highs, lanes, comes = others.low, others.high, others.lane, others.comes
@@ -159,7 +160,7 @@ def lateral_extents(
             if not comes[to, row] or not math.isfinite(low[j] + high[j]):
                 continue
             # As far as the band of a vehicle that is on its way to the centre of that lane.
-            core = 0.5 * widths[row] + waver
+            core = 0.5 * widths[row] + lateral_deviation
             low[j], high[j] = min(low[j], goal - core), max(high[j], goal + core)
             home[j] = to
 

@@ -51,14 +51,14 @@ class VisibilityParameters(NamedTuple):
     slack : tolerance on the gain of a vehicle that enters a lane [m/s^2].
     reaction : number of frames of visibility after which no vehicle begins to enter the ego's lane.
     settled : number of frames of visibility after which no vehicle enters it any more.
-    blind : whether a vehicle may enter a lane that the ego is about to enter. width : of a lane [m].
+    simultaneous_merging : whether a vehicle may enter a lane that the ego is about to enter. width : of a lane [m].
     """
 
     distance: float
     slack: float
     reaction: int
     settled: int
-    blind: bool
+    simultaneous_merging: bool
     width: float
 
 
@@ -137,24 +137,24 @@ def find_unobligated(
     plan, lanes : the path, and the lanes of the scene. state, size : of the ego now: road state (4,), footprint.
     """
     lane, fail, owned, centers = plan.lane, plan.fail, lanes.owned, lanes.centers
-    low, high, behind, held = others.low, others.high, others.behind, others.held
+    low, high, behind, in_owned = others.low, others.high, others.behind, others.in_owned_lane
     reached, count, stand = in_reach(others, limits, True, rows), 0, size.across + _LEFT
     for place in range(reached):
         j = rows[place]
-        owes = behind[j] and held[j]
-        if owes:
+        obliged = behind[j] and in_owned[j]
+        if obliged:
             for entered in (lane, fail):
                 if not owned[entered]:
                     touches = low[j] < centers[entered] + TOUCH and high[j] > centers[entered] - TOUCH
-                    owes = owes and not (touches or others.comes[entered, j])
-        if owes:
+                    obliged = obliged and not (touches or others.comes[entered, j])
+        if obliged:
             # A band may shrink during the plan, down to the place where the ego stops. The ego may come to own the lane
             # of that place meanwhile.
             least, most = low[j], high[j]
             if least < centers[fail] + stand and most > centers[fail] - stand:
                 least, most = centers[fail] - stand, centers[fail] + stand
-            owes = not _comes_back(state, plan.path, plan.turned, size, least, most)
-        if not owes:
+            obliged = not _comes_back(state, plan.path, plan.turned, size, least, most)
+        if not obliged:
             rows[count] = j
             count += 1
     return count
@@ -193,7 +193,7 @@ def mark_relied_on(
         low, high = others.low[j], others.high[j]
         near = plan[1] >= 0 or others.comes[plan[0], j] or (low < most and high > least)
         reaches = low < goal + stand and high > goal - stand
-        counted[j] = before[0][j] and near and not (keeps and before[1][j] and others.held[j] and reaches)
+        counted[j] = before[0][j] and near and not (keeps and before[1][j] and others.in_owned_lane[j] and reaches)
 
 
 @kernel_no_refcount
@@ -203,7 +203,7 @@ def update_lanes(
     near: LaneDistances,
     plan: tuple[int, bool],
     lanes: LaneState,
-    owing: BoolArray,
+    obliged: BoolArray,
     coming: BoolArray,
 ) -> None:
     """Advance by one scene, in place: frames of visibility in each lane, lanes owned, and vehicles that may enter each
@@ -216,7 +216,7 @@ def update_lanes(
         are taken to have seen the ego for long.
     lanes : `visible` and `owned` are updated. Ownership begins when the ego touches the lane with a verified plan to
         stop there. It ends when its body has left the lane and no stored plan stops there.
-    owing : vehicles with a distance obligation, (m,).
+    obliged : vehicles with a distance obligation, (m,).
     coming : whether each vehicle may enter each lane, (lanes, m) or (0, m). Where the ego is no longer visible in a
         lane, every vehicle without an obligation may enter it.
     """
@@ -231,7 +231,7 @@ def update_lanes(
         owned[j] = (had and (offset < leave or j == stored)) or (j == stored and offset < touch)
         if not first and coming.shape[0] > 0 and last > 0 and visible[j] == 0:
             for i in range(coming.shape[1]):
-                coming[j, i] = coming[j, i] or not owing[i]
+                coming[j, i] = coming[j, i] or not obliged[i]
 
 
 @compiled
@@ -241,7 +241,7 @@ def updated_lanes(
     near: LaneDistances,
     stored: int,
     lanes: LaneState,
-    owing: BoolArray,
+    obliged: BoolArray,
     coming: BoolArray,
 ) -> tuple[IntArray, BoolArray, BoolArray]:
     """`update_lanes` with new arrays. In the first scene `visible` and `owned` are empty; `coming` may have any other
@@ -256,7 +256,7 @@ def updated_lanes(
         else:
             own[nearest(centers, r)] = True
     coming = comes if comes.shape[0] == n else comes[:0]
-    update_lanes(r, frames, near, (stored, first), LaneState(centers, own, seen), owing, coming)
+    update_lanes(r, frames, near, (stored, first), LaneState(centers, own, seen), obliged, coming)
     return seen, own, comes
 
 
@@ -285,9 +285,9 @@ def fill_vehicles(
     earlier: EarlierVehicles,
     sight: VisibilityParameters,
     others: RoadVehicles,
-    room: BoolArray,
+    buffer: BoolArray,
 ) -> None:
-    """Fill in `others`, the vehicles as the clauses read them; `room` is a buffer, (m, 4).
+    """Fill in `others`, the vehicles as the clauses read them; `buffer` is a buffer, (m, 4).
 
     Parameters
     ----------
@@ -298,7 +298,7 @@ def fill_vehicles(
     followers, before = earlier.followers, earlier.comes
     lows, highs, floor, reach = bodies.low, bodies.high, bodies.floor, bodies.reach
     aheads, leasts, near, rs, across = others.ahead, others.least, others.size, others.r, others.across
-    behinds, helds = others.behind, others.held
+    behinds, owned_flags = others.behind, others.in_owned_lane
     half, side = reach_along(size, state[2]), reach_across(size, state[2])
     for j in range(states.shape[0]):
         ahead = states[j, 0] - state[0]
@@ -310,23 +310,23 @@ def fill_vehicles(
             # The obligation lasts while a corner of the vehicle is beside a corner of the ego's buffer, until it
             # touches the buffer.
             behind = gap_between(ego.seen, ego.seen.along, ego.seen.across, rows, j, 0.0) >= 0
-        low, high, held = lows[j], highs[j], False
+        low, high, in_owned = lows[j], highs[j], False
         for k in range(centers.shape[0]):
-            held = held or (owned[k] and low < centers[k] + TOUCH and high > centers[k] - TOUCH)
+            in_owned = in_owned or (owned[k] and low < centers[k] + TOUCH and high > centers[k] - TOUCH)
         # The obligation lasts until the ego has left the band of the vehicle.
-        held = held or (followed and low < state[1] + side and high > state[1] - side)
-        aheads[j], behinds[j], helds[j] = ahead, behind, held
+        in_owned = in_owned or (followed and low < state[1] + side and high > state[1] - side)
+        aheads[j], behinds[j], owned_flags[j] = ahead, behind, in_owned
         leasts[j] = min(ahead, floor[j] - state[0])
         near[j] = reach[j] + size.along + size.growth_along + 2.0
         rs[j], across[j] = states[j, 1], states[j, 3] * sin
-    if not sight.blind:
+    if not sight.simultaneous_merging:
         for k in range(centers.shape[0]):
             for j in range(states.shape[0]):
                 others.beside[k, j] = others.comes[k, j] = False
         return
-    asked, tempted = room[:, :2], room[:, 2:]
+    requested, tempted = buffer[:, :2], buffer[:, 2:]
     plan = (ego.stored, ego.entered)
-    neighbours(others, centers, sight.width, before, visible, plan, asked)
+    neighbours(others, centers, sight.width, before, visible, plan, requested)
     traffic = TrafficInLanes(states, across, bodies.lane, bodies.low, bodies.high)
-    lane_change_incentives(traffic, LaneSight(centers, sight.distance, sight.slack), state, asked, tempted)
+    lane_change_incentives(traffic, LaneSight(centers, sight.distance, sight.slack), state, requested, tempted)
     mark_entrants(others, tempted, ego.lanes, before, plan, sight.reaction, sight.settled)

@@ -18,7 +18,7 @@ class Footprint(NamedTuple):
     along, across : half extents with the buffer.
     length, width : of the body.
     growth_along, growth_across : additional half extents with the buffer on a curve, in the road's frame.
-    bare_along, bare_across : the same for the body.
+    body_growth_along, body_growth_across : the same for the body.
     """
 
     along: float
@@ -27,8 +27,8 @@ class Footprint(NamedTuple):
     width: float
     growth_along: float = 0.0
     growth_across: float = 0.0
-    bare_along: float = 0.0
-    bare_across: float = 0.0
+    body_growth_along: float = 0.0
+    body_growth_across: float = 0.0
 
 
 @kernel_inline

@@ -27,8 +27,8 @@ class RoadVehicles(NamedTuple):
     behind : whether its body is behind the ego and its buffer.
     low, high : band of the lanes that it touches [m]. lane : nearest lane.
     r, across : lateral position [m] and lateral speed [m/s].
-    held : whether it is in a lane that the ego owns, or has had a distance obligation and the ego has not left its
-        band.
+    in_owned_lane : whether it is in a lane that the ego owns, or has had a distance obligation and the ego has not
+        left its band.
     beside : lanes beside its band, (lanes, v). comes : which of these it may enter, (lanes, v).
     """
 
@@ -41,7 +41,7 @@ class RoadVehicles(NamedTuple):
     lane: IntArray
     r: FloatArray
     across: FloatArray
-    held: BoolArray
+    in_owned_lane: BoolArray
     beside: BoolArray
     comes: BoolArray
 
@@ -62,6 +62,8 @@ def empty_vehicles(m: int, lanes: int) -> VehicleBuffers:
 def vehicles_from(bodies: Bodies, numbers: FloatArray, flags: BoolArray) -> RoadVehicles:
     """The rows of both buffers, by their names."""
     ahead, least, size, r, across = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
-    behind, held, lanes = flags[0], flags[1], flags.shape[0] // 2 + 1
+    behind, in_owned_lane, lanes = flags[0], flags[1], flags.shape[0] // 2 + 1
     beside, comes, lane = flags[2:lanes], flags[lanes:], bodies.lane
-    return RoadVehicles(ahead, least, size, behind, bodies.low, bodies.high, lane, r, across, held, beside, comes)
+    return RoadVehicles(
+        ahead, least, size, behind, bodies.low, bodies.high, lane, r, across, in_owned_lane, beside, comes
+    )

@@ -29,8 +29,9 @@ class ClauseSettings(NamedTuple):
     acceleration, braking : response of a follower [m/s^2], see `FollowerResponse`. max_speed : [m/s]. power :
         [m^2/s^3].
     hardest : greatest deceleration of any vehicle [m/s^2]. gains : see `VisibilityParameters.slack` [m/s^2].
-    blind, slip_in : 1 if vehicles may enter a lane that the ego is about to enter, and if they may cut in.
-    width : of a lane [m]. waver : greatest lateral deviation of a body from the centre of its lane [m].
+    simultaneous_merging, cut_in : 1 if vehicles may enter a lane that the ego is about to enter, and if they may cut
+        in.
+    width : of a lane [m]. lateral_deviation : greatest lateral deviation of a body from the centre of its lane [m].
     perception : range [m]. bent : 1 if the road is curved. dt : frame [s].
     """
 
@@ -43,10 +44,10 @@ class ClauseSettings(NamedTuple):
     power: float
     hardest: float
     gains: float
-    blind: float
-    slip_in: float
+    simultaneous_merging: float
+    cut_in: float
     width: float
-    waver: float
+    lateral_deviation: float
     perception: float
     bent: float
     dt: float
@@ -98,4 +99,4 @@ def follower_response_of(x: ClauseSettings, hold: int) -> FollowerResponse:
 @kernel_inline
 def visibility_of(x: ClauseSettings) -> VisibilityParameters:
     """Parameters of visibility."""
-    return VisibilityParameters(x.seen, x.gains, int(x.reaction), int(x.settled), x.blind > 0, x.width)
+    return VisibilityParameters(x.seen, x.gains, int(x.reaction), int(x.settled), x.simultaneous_merging > 0, x.width)

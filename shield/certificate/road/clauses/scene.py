@@ -23,12 +23,12 @@ class SceneBuffers(NamedTuple):
 
     Attributes
     ----------
-    of_others : see `empty_vehicles`. slipping : vehicles that `find_cut_ins` finds, (2 m, 4).
+    of_others : see `empty_vehicles`. cutting_in : vehicles that `find_cut_ins` finds, (2 m, 4).
     tempted : buffer, (m, 4).
     """
 
     of_others: VehicleBuffers
-    slipping: FloatArray
+    cutting_in: FloatArray
     tempted: BoolArray
 
 
@@ -74,6 +74,6 @@ def prepare_scene(
     others = vehicles_from(bodies.bodies, out.of_others.numbers, out.of_others.flags)
     seen = EgoInScene(ego.state, foot, world, lanes, plan[0], plan[1])
     fill_vehicles(bodies, seen, earlier, visibility_of(x), others, out.tempted)
-    if not x.slip_in > 0:
+    if not x.cut_in > 0:
         return 0
-    return find_cut_ins(bodies, ego.state, foot.length, lanes.centers, x.seen, x.hardest, out.slipping)
+    return find_cut_ins(bodies, ego.state, foot.length, lanes.centers, x.seen, x.hardest, out.cutting_in)

@@ -116,7 +116,7 @@ def extents(path: FloatArray, turned: FloatArray, size: Footprint, dt: float, bo
         lowest, highest = min(lowest, bounds[2, k]), max(highest, bounds[3, k])
         if coming:
             r += v * sin * dt
-            half_r = 0.5 * (length * abs(sin) + width * abs(cos)) + size.bare_across
+            half_r = 0.5 * (length * abs(sin) + width * abs(cos)) + size.body_growth_across
             lowest, highest = min(lowest, r - half_r), max(highest, r + half_r)
     return PathExtents(True, coming, lowest, highest)
 
@@ -147,7 +147,7 @@ def coming_frame(
     """
     s, r, v, sin, cos = state[0], state[1], state[3], turned[0], turned[1]
     low, high = sides[0] - r, sides[1] - r
-    half, side = 0.5 * size.length + size.bare_along, 0.5 * size.width + size.bare_across
+    half, side = 0.5 * size.length + size.body_growth_along, 0.5 * size.width + size.body_growth_across
     ahead = (ends[0] - s) * cos + min(low * sin, high * sin) - half
     ahead -= max(v * dt - max(ends[1] - ends[0], 0.0) * cos, 0.0)
     if ahead >= 0:

@@ -31,18 +31,20 @@ def room_of(
     sin, cos = abs(turned[0, last]), abs(turned[1, last])
     # On a curve, the buffer ahead and behind follows the lane: only the body has to fit.
     half = (
-        0.5 * size.length * sin + size.across * cos + size.bare_across if bent else size.along * sin + size.across * cos
+        0.5 * size.length * sin + size.across * cos + size.body_growth_across
+        if bent
+        else size.along * sin + size.across * cos
     )
     return side - abs(path[last, 1] - center) - half
 
 
 @kernel_inline
-def margin_of(separations: FloatArray, slipping: FloatArray, room: float) -> float:
+def margin_of(separations: FloatArray, cutting_in: FloatArray, room: float) -> float:
     """Margin of a path: its least separation, or the room if that is negative and less [m]; NaN if any input is NaN.
 
     Parameters
     ----------
-    separations, slipping : from the vehicles in reach, (m,), and from those that may cut in, (q,) [m]. room : [m].
+    separations, cutting_in : from the vehicles in reach, (m,), and from those that may cut in, (q,) [m]. room : [m].
     """
     least, known = np.inf, not math.isnan(room)
     if room < 0:
@@ -50,7 +52,7 @@ def margin_of(separations: FloatArray, slipping: FloatArray, room: float) -> flo
     for j in range(separations.shape[0]):
         known = known and not math.isnan(separations[j])
         least = min(least, separations[j])
-    for j in range(slipping.shape[0]):
-        known = known and not math.isnan(slipping[j])
-        least = min(least, slipping[j])
+    for j in range(cutting_in.shape[0]):
+        known = known and not math.isnan(cutting_in[j])
+        least = min(least, cutting_in[j])
     return least if known else np.nan

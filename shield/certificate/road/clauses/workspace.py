@@ -43,7 +43,7 @@ class ClauseScene(NamedTuple):
     Attributes
     ----------
     state : road state of the ego now, (4,). around, ground : the other vehicles and the lanes.
-    slipping : candidates for a cut-in, (c, 4), see `find_cut_ins`.
+    cutting_in : candidates for a cut-in, (c, 4), see `find_cut_ins`.
     foot : footprint of the ego. settings : of the clauses.
     table : of the road, see `dynamics.vehicle.rollout_kernels`.
     """
@@ -51,7 +51,7 @@ class ClauseScene(NamedTuple):
     state: FloatArray
     around: SceneVehicles
     ground: LaneState
-    slipping: FloatArray
+    cutting_in: FloatArray
     foot: Footprint
     settings: ClauseSettings
     table: FloatArray
@@ -70,7 +70,7 @@ class ClauseWorkspace(NamedTuple):
     rear : least s of one vehicle in reach, (1, K) [m].
     turned : sine and cosine of the path's headings, (2, K). bounds : extents of the ego, and a buffer, (5, K) [m].
     room : in the lane that the path stops in, (1,) [m].
-    slipping, slips : rows, (2 m,), and numbers, (6, 2 m), of the vehicles that may cut in.
+    cutting_in, cut_ins : rows, (2 m,), and numbers, (6, 2 m), of the vehicles that may cut in.
     ways : their least and greatest s, (2, 2 m, K) [m]. sweep : their lateral extents, (2 m, T, 2) [m].
     turns : buffer, (2 m, T, 4). away : separation from each, (2 m,) [m].
     swept : number of frames for which these are valid, (1,); 0 in a new scene.
@@ -87,8 +87,8 @@ class ClauseWorkspace(NamedTuple):
     turned: FloatArray
     bounds: FloatArray
     room: FloatArray
-    slipping: IntArray
-    slips: FloatArray
+    cutting_in: IntArray
+    cut_ins: FloatArray
     ways: FloatArray
     sweep: FloatArray
     turns: FloatArray

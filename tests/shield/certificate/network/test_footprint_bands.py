@@ -145,7 +145,7 @@ def test_a_body_that_keeps_to_its_lane_stays_inside_the_predicted_band(env_id, w
     index = list(lanes)[number]
     lane = lanes[index]
     aside = 0.5 * (length * abs(np.sin(angle)) + width * np.cos(angle))
-    assume(abs(r) + aside <= 0.5 * width + road.bounds.sway)
+    assume(abs(r) + aside <= 0.5 * width + road.bounds.lateral_deviation)
     body.position, body.heading = lane.position(share * lane.length, r), lane.heading_at(share * lane.length) + angle
     body.LENGTH, body.WIDTH = length, width
     row = np.array([*body.position, body.heading, 5.0, length, width, 0.0])

@@ -54,7 +54,7 @@ def lost_at(speed):
     other.step = lambda dt: None
     env.step(np.zeros(2))
     env.filter.look()
-    bodies = env.filter.core.memory.survey.around.bodies
+    bodies = env.filter.core.memory.verifier.around.bodies
     return np.array([bodies.budget[0], bodies.action[0]])
 
 

@@ -45,7 +45,7 @@ def test_a_scene_observed_twice_counts_as_one_frame(core):
     for k in range(3):
         scene = scene_of((20 * DT * k, 0, 0, 20), (60 + 20 * DT * k, 0, 0, 20))
         first, again = (shield.look(replace(scene, frame=k)) for _ in range(2))
-        np.testing.assert_array_equal(first.survey.visible, again.survey.visible)
+        np.testing.assert_array_equal(first.verifier.visible, again.verifier.visible)
     assert shield.violations == 0
 
 

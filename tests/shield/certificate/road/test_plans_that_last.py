@@ -44,11 +44,11 @@ def test_a_verified_decision_verifies_in_its_first_frame(seed):
 def stopping(ego, follower, owned):
     """The margin of braking to a stop in lane 1 with a follower that owes the ego its distance; its strip, (2,) [m]."""
     scene = scene_of(ego, follower, lanes=LANES, lane=1)
-    survey = PathVerifier(scene, CONFIG, followers=np.ones(1, bool), **{**OWNED, "owned": owned})
+    verifier = PathVerifier(scene, CONFIG, followers=np.ones(1, bool), **{**OWNED, "owned": owned})
     candidates = brake_candidates(scene, [1], [0.0], [1], 0, CONFIG.braking)
     paths = candidates.paths(Rollouts(DT), scene.ego_road)
-    margin = survey.without_cut_ins().clearance(paths, candidates.lanes, candidates.fails).margin[0]
-    return float(margin), np.array([survey.around.low[0], survey.around.high[0]]), bool(survey.held[0])
+    margin = verifier.without_cut_ins().clearance(paths, candidates.lanes, candidates.fails).margin[0]
+    return float(margin), np.array([verifier.around.low[0], verifier.around.high[0]]), bool(verifier.in_owned_lane[0])
 
 
 @settings(deadline=None, max_examples=300, suppress_health_check=[HealthCheck.filter_too_much])

@@ -53,4 +53,4 @@ def test_any_vehicle_may_enter_a_lane_from_which_the_ego_is_not_visible():
         core = ShieldCore()
         core.look(scene_of((0, 5.4, 0, 10), (20, 0, 0, 10)))
         core.stored = 1
-        assert core.look(scene_of((10 * DT, r, 0, 10), (20 + 10 * DT, 0, 0, 10))).survey.others.comes[1, 0] == comes
+        assert core.look(scene_of((10 * DT, r, 0, 10), (20 + 10 * DT, 0, 0, 10))).verifier.others.comes[1, 0] == comes

@@ -77,7 +77,9 @@ def test_a_follower_owes_its_distance_until_the_ego_has_left_its_strip():
     for r, duty in ((2.4, True), (2.7, False)):
         scene = scene_of((0, r, 0, 5), (-12, 0, 0, 25))
         marks = {"owned": [False, True, False, False]}
-        held = [PathVerifier(scene, CONFIG, followers=np.array([f]), **marks).others.held[0] for f in (False, True)]
+        held = [
+            PathVerifier(scene, CONFIG, followers=np.array([f]), **marks).others.in_owned_lane[0] for f in (False, True)
+        ]
         assert held == [False, duty]
     scene = scene_of((0, 2.4, 0, 5), (-12, 0, 0, 25))
     assert along(scene, passing(2.4), 1, **marks) < 0
@@ -98,4 +100,4 @@ def test_a_lane_is_owned_only_with_a_verified_plan_and_while_the_ego_touches_it(
         core.supervise(scene_of((0, 0, 0, 10), lanes=2))
         core.stored = stored
         scene = scene_of((1, r, 0.1, 10), lanes=2)
-        assert list(core.look(scene).survey.owned) == owned
+        assert list(core.look(scene).verifier.owned) == owned

@@ -288,14 +288,14 @@ class Decision:
         vehicle; NaN without one. Its guarantee is the weakest. Two cases are not overrides, since the proposal was
         executed unchanged: an acceleration cap without an overridden frame, and a fallback that equals the proposal.
         """
-        held, parts = [frame for frame in frames if frame.overridden], (self, *frames)
+        overridden_frames, parts = [frame for frame in frames if frame.overridden], (self, *frames)
         same, holds = _same(self.proposed, self.executed), self.tier is Tier.GOVERNED
-        unchanged, done = bool(frames) and not held and holds and same, Intervention.NONE
+        unchanged, done = bool(frames) and not overridden_frames and holds and same, Intervention.NONE
         if self.overridden and not same:
             done = Intervention.OTHER_ACTION
-        elif held or (self.overridden and holds and not unchanged):
+        elif overridden_frames or (self.overridden and holds and not unchanged):
             done = Intervention.HELD_BACK
-        overridden = [self, *held] if self.overridden and not unchanged else held
+        overridden = [self, *overridden_frames] if self.overridden and not unchanged else overridden_frames
         shown = next((d for d in overridden if d.tier.fallback), overridden[0] if overridden else None)
         number = next((k for k, frame in enumerate(frames) if frame is shown), 0)
         least = min((d for d in parts if isfinite(d.margin)), key=lambda d: d.margin, default=None)
@@ -310,11 +310,11 @@ class Decision:
             vehicle=-1 if least is None else least.vehicle,
             level=min(d.level for d in parts),
             alarm=any(d.alarm for d in parts),
-            frames_overridden=len(held),
+            frames_overridden=len(overridden_frames),
             weakest_guarantee=weakest(*(d.guarantee for d in parts)),
             step_intervention=done,
             frames=len(frames),
-            first_overridden=held[0] if held else None,
+            first_overridden=overridden_frames[0] if overridden_frames else None,
             refusal=None if shown is None else (shown if shown.refusal is None else shown.refusal[0], number),
         )
 

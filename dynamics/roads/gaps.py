@@ -72,12 +72,12 @@ class Gaps:
         if not middles.size:
             return None
         stretches = int(np.ceil(road.length / _STEP))
-        s, strip, across = np.meshgrid((np.arange(stretches) + 0.5) * _STEP, middles, _ACROSS, indexing="ij")
-        poses = road.to_world(np.stack([s, strip + across, 0 * s, 0 * s], axis=-1))
+        s, middle, across = np.meshgrid((np.arange(stretches) + 0.5) * _STEP, middles, _ACROSS, indexing="ij")
+        poses = road.to_world(np.stack([s, middle + across, 0 * s, 0 * s], axis=-1))
         off = _off_road(poses, lanes)
         if not off.any():
             return None
-        r = strip + across
+        r = middle + across
         low, high = np.where(off, r, np.inf).min(axis=-1) - _WIDER, np.where(off, r, -np.inf).max(axis=-1) + _WIDER
         # Each stretch was checked at its middle; a gap that begins in the next one may begin in this one.
         before, after = (np.clip(np.arange(stretches) + i, 0, stretches - 1) for i in (-1, 1))

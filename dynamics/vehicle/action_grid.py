@@ -96,14 +96,14 @@ def define_on_grid(env: Any, define: Callable[[], None]) -> None:
     env : the environment, unwrapped.
     define : function that defines its spaces for an action type of highway-env.
     """
-    asked = env.config["action"]
-    rest = {key: value for key, value in asked.items() if key not in ("type", "actions_per_axis")}
+    action_config = env.config["action"]
+    rest = {key: value for key, value in action_config.items() if key not in ("type", "actions_per_axis")}
     env.config["action"] = {"type": "ContinuousAction", **rest}
     try:
         define()
     finally:
-        env.config["action"] = asked
-    env.action_type = ActionGrid(env, asked["actions_per_axis"], **rest)
+        env.config["action"] = action_config
+    env.action_type = ActionGrid(env, action_config["actions_per_axis"], **rest)
     env.action_space = env.action_type.space()
 
 

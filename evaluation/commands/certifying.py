@@ -71,18 +71,16 @@ def certify_command(options: CertifyOptions) -> None:
     from evaluation.running.certify import CertifyRun, certify, page
     from evaluation.running.records import config_on
 
-    asked = CertifyRun(
-        where, options.policy, options.episodes, options.seed, config_on(where, given), options.simulator
-    )
+    run = CertifyRun(where, options.policy, options.episodes, options.seed, config_on(where, given), options.simulator)
     with Progress(console=_err, disable=not _err.is_terminal, transient=True) as bar:
-        task = bar.add_task(f"{options.policy} on {where.name}", total=len(asked.parts()))
+        task = bar.add_task(f"{options.policy} on {where.name}", total=len(run.parts()))
 
-        def told(part: pd.DataFrame) -> None:
+        def report_part(part: pd.DataFrame) -> None:
             bar.advance(task)
             if not _err.is_terminal or part["crashed"].any():
                 _err.print(f"seeds {part['seed'].min()} to {part['seed'].max()}: {part['crashed'].sum()} crashed")
 
-        found = certify(asked, options.output, options.jobs, told)
+        found = certify(run, options.output, options.jobs, report_part)
     write_table(found, options.output / "episodes.parquet")
     text = page(found)
     (options.output / "certificate.md").write_text(text, encoding="utf-8")

@@ -35,8 +35,8 @@ app.add_typer(dynamics_app, name="dynamics")
 _out, _err = Console(), Console(stderr=True, highlight=False)
 
 
-def _version(asked: bool) -> None:
-    if asked:
+def _version(show: bool) -> None:
+    if show:
         typer.echo(f"highway-shield {__version__}")
         raise typer.Exit
 

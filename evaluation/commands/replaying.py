@@ -97,7 +97,7 @@ def replay_command(options: ReplayOptions) -> None:
         _out.print(f"wrote {made.path} ({made.frames} frames)")
 
 
-def _drive(asked: ReplayRequest, page: Path | None) -> EpisodeRecord:
+def _drive(request: ReplayRequest, page: Path | None) -> EpisodeRecord:
     """Drive an episode, print its overrides, and write its page if a path is given."""
     from evaluation.running.episodes import run_episode
 
@@ -107,14 +107,14 @@ def _drive(asked: ReplayRequest, page: Path | None) -> EpisodeRecord:
 
     if page is None:
         record = run_episode(
-            asked.setting, asked.policy, asked.variant, asked.seed, simulator="highway-env", after=tell
+            request.setting, request.policy, request.variant, request.seed, simulator="highway-env", after=tell
         )
         _summary(record)
         return record
     from evaluation.replay.collect import collect
     from evaluation.replay.html import write_page
 
-    replayed, record = collect(asked, told=tell)
+    replayed, record = collect(request, on_step=tell)
     _summary(record)
     path = write_page(replayed, page)
     _out.print(
@@ -154,7 +154,7 @@ def _replay_run(run: str, episode: int | None, policy: str | None, page: Path | 
     recorded = episode_of(path, episode, policy)
     if recorded.changed:
         _err.print(f"driven with other versions then: {', '.join(recorded.changed)}", style="yellow", soft_wrap=True)
-    if differ := check_same(recorded, _drive(recorded.asked, page)):
+    if differ := check_same(recorded, _drive(recorded.request, page)):
         _err.print(
             f"this is not the episode of the run: {', '.join(differ)}", style="red", markup=False, soft_wrap=True
         )

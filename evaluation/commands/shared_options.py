@@ -75,8 +75,8 @@ def read_settings(names: Sequence[str] | None, env_id: str | None, config: Path 
     if config is not None:
         from evaluation.commands.unknown_keys import unknown_keys
 
-        for told in unknown_keys(setting):
-            _err.print(told, style="yellow", markup=False, soft_wrap=True)
+        for message in unknown_keys(setting):
+            _err.print(message, style="yellow", markup=False, soft_wrap=True)
     return [setting]
 
 

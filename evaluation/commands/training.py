@@ -72,18 +72,18 @@ def train_command(
     **given: Any,
 ) -> None:
     """Train a policy on one core, and save it with a manifest."""
-    asked = {key: value for key, value in given.items() if value is not None}
+    options_given = {key: value for key, value in given.items() if value is not None}
     if recipe is not None:
-        _train_recipe(recipe, asked, bool(set_ or options))
+        _train_recipe(recipe, options_given, bool(set_ or options))
         return
-    found = {**({} if options is None else TrainingOptions.read(options)), **asked}
+    found = {**({} if options is None else TrainingOptions.read(options)), **options_given}
     if not (found.get("setting") or found.get("env_id")):
         raise ConfigError("give either --recipe or --setting, or --env-id")
-    if asked.get("setting") or asked.get("env_id"):
+    if options_given.get("setting") or options_given.get("env_id"):
         # Options given here replace the file's environment, by either name.
-        found = {key: value for key, value in found.items() if key in asked or key not in ("setting", "env_id")}
-    base = dict(found.get("hyperparameters", {})) if "hyperparameters" not in asked else {}
-    file = asked.get("hyperparameters")
+        found = {key: value for key, value in found.items() if key in options_given or key not in ("setting", "env_id")}
+    base = dict(found.get("hyperparameters", {})) if "hyperparameters" not in options_given else {}
+    file = options_given.get("hyperparameters")
     found["hyperparameters"] = read_hyperparameters(file, set_ or [], base)
     whole = TrainingOptions(**found)
     check_writable(whole.path)
@@ -92,20 +92,20 @@ def train_command(
     _tell(train_with(whole))
 
 
-def _train_recipe(recipe: str, asked: dict[str, Any], more: bool) -> None:
-    if "setting" in asked or "env_id" in asked:
+def _train_recipe(recipe: str, options_given: dict[str, Any], more: bool) -> None:
+    if "setting" in options_given or "env_id" in options_given:
         raise ConfigError("give either --recipe or --setting")
-    own = [key for key in asked if key not in _WITH_RECIPE]
+    own = [key for key in options_given if key not in _WITH_RECIPE]
     if own or more:
         named = ", ".join("--" + key.replace("_", "-") for key in own) or "--set and --options"
         raise ConfigError(f"a recipe has its own hyperparameters and options; give --setting with {named}")
     get_recipe(recipe)
-    output = asked.get("output")
+    output = options_given.get("output")
     if output is not None:
         check_writable(output)
     from evaluation.training.train import train_recipe
 
-    _tell(train_recipe(recipe, **asked))
+    _tell(train_recipe(recipe, **options_given))
 
 
 def _tell(trained: Any) -> None:

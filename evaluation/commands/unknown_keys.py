@@ -39,9 +39,11 @@ def unknown_keys(setting: Setting) -> list[str]:
         base: Any = env.unwrapped
         default: dict[str, Any] = getattr(type(base), "default_config", dict)()
         registered = Setting(setting.name, setting.env_id).configured
-        told: list[str] = []
+        messages: list[str] = []
         if default:
-            told += _unknown_key_messages(setting.env_id, "its configuration", setting.config, [*default, *registered])
+            messages += _unknown_key_messages(
+                setting.env_id, "its configuration", setting.config, [*default, *registered]
+            )
         for name, factory in _FACTORIES.items():
             given = setting.config.get(name)
             if isinstance(given, Mapping):
@@ -49,8 +51,8 @@ def unknown_keys(setting: Setting) -> list[str]:
                 usual = default.get(name, {})
                 given = {key: value for key, value in given.items() if key not in usual or usual[key] != value}
                 of = _Reader(setting.env_id, base, factory)
-                told += of.unknown(f"[{name}]", given, getattr(base, f"{name}_type"))
-        return told
+                messages += of.unknown(f"[{name}]", given, getattr(base, f"{name}_type"))
+        return messages
     finally:
         env.close()
 

@@ -205,13 +205,13 @@ class Experiment:
                     "the path of its zip file"
                 )
             compared = tuple((setting, tuple(self._variants(setting))) for setting in self.settings)
-            asked = self._comparison(compared, tuple(named))
-            store = self._store(asked, functions)
+            comparison = self._comparison(compared, tuple(named))
+            store = self._store(comparison, functions)
             if self.steps is not None:
                 check_steps(Path(self.steps), store.rows)
             engine = engine_of(self.engine, self.jobs, self.address)
             try:
-                parts = [asked.drive(store, engine, progress)] if named else []
+                parts = [comparison.drive(store, engine, progress)] if named else []
                 for setting, variants in compared:
                     parts += [self._drive(setting, variants, name, each) for name, each in functions.items()]
             except KeyboardInterrupt:
@@ -264,9 +264,9 @@ class Experiment:
             steps=self.steps is not None,
         )
 
-    def _store(self, asked: Comparison, functions: Mapping[str, Any]) -> Store:
+    def _store(self, comparison: Comparison, functions: Mapping[str, Any]) -> Store:
         """The store of the episodes, with the values that determine them."""
-        what = {**asked.asked(), "seed": self.seed, "episodes": self.episodes}
+        what = {**comparison.specification(), "seed": self.seed, "episodes": self.episodes}
         if self.shard is not None:
             what["shard"] = list(self.shard)
         if functions:
@@ -281,7 +281,7 @@ class Experiment:
             except OSError as error:
                 raise ConfigError(f"{output.parent} cannot be made: {error.strerror}") from None
         before = finished(output) if self.resume and output is not None else None
-        return Store(output, what, self.resume, before, asked.models)
+        return Store(output, what, self.resume, before, comparison.models)
 
     def _drive(self, setting: Setting, variants: tuple[ShieldVariant, ...], name: str, policy: Any) -> pd.DataFrame:
         """Drive the episodes of a policy that is an object."""

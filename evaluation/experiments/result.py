@@ -119,14 +119,14 @@ def merge(parts: Iterable[Result]) -> Result:
         raise ConfigError("nothing to merge: no parts")
     shards = []
     for part in parts:
-        asked = dict(part.made.get("asked", {}))
-        shard = asked.pop("shard", None)
+        specification = dict(part.made.get("asked", {}))
+        shard = specification.pop("shard", None)
         if shard is None:
             raise ConfigError("a part does not say which shard of an experiment it is; it was made without a shard")
-        shards.append((tuple(shard), asked, part))
+        shards.append((tuple(shard), specification, part))
     (_, count), first, _ = shards[0]
-    for (_, other), asked, part in shards[1:]:
-        differ = differences({"shards": count, **first}, {"shards": other, **asked})
+    for (_, other), specification, part in shards[1:]:
+        differ = differences({"shards": count, **first}, {"shards": other, **specification})
         differ += differences({"version of": parts[0].made["versions"]}, {"version of": part.made["versions"]})
         if differ:
             raise ConfigError(f"these are parts of two experiments: {', '.join(differ[:6])}")

@@ -48,7 +48,7 @@ class FastRoadVecEnv(FastHighwayVecEnv):
     def _made(self, num_envs: int, env_id: str, config: Mapping[str, Any] | None, threads: int) -> RoadSimulator:
         return RoadSimulator(env_id, num_envs, config, threads)
 
-    def _told(self) -> list[dict[str, Any]]:
+    def _info_entries(self) -> list[dict[str, Any]]:
         return [info_of(self.simulator, i, self._actions[i]) for i in range(self.num_envs)]
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:

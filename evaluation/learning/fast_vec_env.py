@@ -124,7 +124,7 @@ class FastHighwayVecEnv(VecEnv):
 
     def _infos(self, terminated: Any, done: Any, stepped: Any) -> list[dict[str, Any]]:
         """Infos of each environment; `stepped` marks those that made the last step."""
-        seen, infos = self.simulator.seen, self._told()
+        seen, infos = self.simulator.seen, self._info_entries()
         elapsed = round(time.time() - self._start, _DIGITS)
         for info, over, crashed in zip(infos, done, terminated, strict=True):
             info["TimeLimit.truncated"] = bool(over and not crashed)
@@ -134,7 +134,7 @@ class FastHighwayVecEnv(VecEnv):
             infos[i]["episode"] = {"r": total, "l": int(self._lengths[i]), "t": elapsed}
         return infos
 
-    def _told(self) -> list[dict[str, Any]]:
+    def _info_entries(self) -> list[dict[str, Any]]:
         """highway-env's own `info` of each environment."""
         seen, actions = self.simulator.seen, self._actions
         speeds, parts = seen.speed.tolist(), seen.parts.tolist()

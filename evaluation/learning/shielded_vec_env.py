@@ -142,24 +142,24 @@ class ShieldedVecEnv(FastHighwayVecEnv):
         tiers = np.column_stack([records.tier, records.tiers])
         reasons = np.column_stack([records.reason, records.reasons])
         margins = np.column_stack([records.margin, records.margins])
-        held = OVERRIDES[tiers]
-        other = (records.executed != records.proposed) & held[:, 0]
-        unchanged = (records.tier == _GOVERNED) & ~other & ~held[:, 1:].any(axis=1)
-        held[:, 0] &= ~unchanged
+        overridden_stages = OVERRIDES[tiers]
+        other = (records.executed != records.proposed) & overridden_stages[:, 0]
+        unchanged = (records.tier == _GOVERNED) & ~other & ~overridden_stages[:, 1:].any(axis=1)
+        overridden_stages[:, 0] &= ~unchanged
         tiers[unchanged, 0], reasons[unchanged, 0] = _PASSED, _NONE
-        fallbacks = held & FALLBACKS[tiers]
-        shown = np.where(fallbacks.any(axis=1), fallbacks.argmax(axis=1), held.argmax(axis=1))
+        fallbacks = overridden_stages & FALLBACKS[tiers]
+        shown = np.where(fallbacks.any(axis=1), fallbacks.argmax(axis=1), overridden_stages.argmax(axis=1))
         # Unsupervised frames have the tier OFF.
         frames = certified(records.tiers, records.reasons, records.margins) | (records.tiers == _OFF)
         full = certified(records.tier, records.reason, records.margin) & frames.all(axis=1)
-        done = np.where(other, _OTHER_ACTION, np.where(held[:, 1:].any(axis=1), _HELD_BACK, _AS_PROPOSED))
+        done = np.where(other, _OTHER_ACTION, np.where(overridden_stages[:, 1:].any(axis=1), _HELD_BACK, _AS_PROPOSED))
         columns: tuple[Any, ...] = (
             done != _AS_PROPOSED,
             done,
             reasons[each, shown],
             tiers[each, shown],
             np.fmin.reduce(np.where(np.isfinite(margins), margins, np.nan), axis=1),
-            held[:, 1:].sum(axis=1),
+            overridden_stages[:, 1:].sum(axis=1),
             records.violations,
             full,
         )

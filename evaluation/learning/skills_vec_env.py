@@ -92,7 +92,7 @@ class SkillsVecEnv(VecEnvWrapper):
         labels = action_labels(make(venv.env_id, venv.config).unwrapped)
         self.skills: tuple[Skill, ...] = parse_skills(skills, int(venv.action_space.n), labels)
         self._progress = SkillProgress([skill.actions for skill in self.skills], venv.num_envs)
-        self._asked: IntArray = np.zeros(venv.num_envs, np.intp)
+        self._requested: IntArray = np.zeros(venv.num_envs, np.intp)
         super().__init__(venv, action_space=gym.spaces.Discrete(len(self.skills)))
 
     @property
@@ -117,37 +117,37 @@ class SkillsVecEnv(VecEnvWrapper):
             raise ConfigError(f"have a skill for each of {self.num_envs} environments, not {actions!r}")
         for each in given:
             chosen_skill(self.skills, each)
-        self._asked = given.astype(np.intp)
+        self._requested = given.astype(np.intp)
 
     def step_wait(self) -> Any:
         """Execute one skill in each environment."""
         n, progress = self.num_envs, self._progress
         # An exception in the predicate may have left unfinished skills.
         progress.stop(np.ones(n, np.bool_))
-        progress.choose(self._asked)
+        progress.choose(self._requested)
         dones, interrupted = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
         rewards, overrides, infos = [list[float]() for _ in range(n)], np.zeros(n, np.intp), [dict[str, Any]()] * n
         while not progress.over.all():
             which = np.flatnonzero(~progress.over)
-            observations, _, done, told = self.venv.step_some(progress.primitive, which)
+            observations, _, done, step_infos = self.venv.step_some(progress.primitive, which)
             paid = self.venv.simulator.seen.reward
             for e in which.tolist():
                 rewards[e].append(float(paid[e]))
-                infos[e] = told[e]
-                overrides[e] += bool(told[e].get("shield", {}).get("overridden", False))
+                infos[e] = step_infos[e]
+                overrides[e] += bool(step_infos[e].get("shield", {}).get("overridden", False))
             dones |= done
             progress.advance()
             progress.stop(done)
-            asked = np.flatnonzero(~progress.over)
-            if self._interrupt is not None and len(asked):
-                ended = np.asarray(self._interrupt(self.venv, asked, [infos[e] for e in asked.tolist()]), np.bool_)
-                interrupted[asked] = ended
+            running = np.flatnonzero(~progress.over)
+            if self._interrupt is not None and len(running):
+                ended = np.asarray(self._interrupt(self.venv, running, [infos[e] for e in running.tolist()]), np.bool_)
+                interrupted[running] = ended
                 progress.stop(interrupted)
         totals = np.zeros(n, np.float32)
         for e, info in enumerate(infos):
-            told_of = int(overrides[e]) if "shield" in info else None
+            reported_overrides = int(overrides[e]) if "shield" in info else None
             summary = skill_summary(
-                self.skills[progress.chosen[e]], rewards[e], self.discount, bool(interrupted[e]), told_of
+                self.skills[progress.chosen[e]], rewards[e], self.discount, bool(interrupted[e]), reported_overrides
             )
             totals[e], info["skill"] = summary
         return observations, totals, dones, infos

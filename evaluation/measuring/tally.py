@@ -182,22 +182,22 @@ def tally(
         tallies.violations[e] += records.violations[e]
         for k in range(tallies.broken.shape[1]):
             tallies.broken[e, k] += records.broken[e, k]
-        held, fell = 0, FALLBACKS[records.tier[e]]
+        overridden_frames, fell = 0, FALLBACKS[records.tier[e]]
         margin = tallies.min_margin[e]
         if math.isfinite(records.margin[e]) and not margin <= records.margin[e]:
             margin = records.margin[e]
         for k in range(rows.shape[1]):
             if OVERRIDES[records.tiers[e, k]]:
-                held += 1
+                overridden_frames += 1
                 fell = fell or FALLBACKS[records.tiers[e, k]]
             if math.isfinite(records.margins[e, k]) and not margin <= records.margins[e, k]:
                 margin = records.margins[e, k]
             _see(rows[e, k], off_road[e, k], tallies, e, times)
         tallies.min_margin[e] = margin
         tallies.frames[e] += rows.shape[1]
-        tallies.frames_overridden[e] += held
+        tallies.frames_overridden[e] += overridden_frames
         # As in `Decision.with_frames`: a fallback equal to the proposal is no override.
         other = OVERRIDES[records.tier[e]] and records.executed[e] != records.proposed[e]
-        tallies.overridden[e] += other or held > 0
-        tallies.held_back[e] += held > 0 and not other
+        tallies.overridden[e] += other or overridden_frames > 0
+        tallies.held_back[e] += overridden_frames > 0 and not other
         tallies.fallbacks[e] += fell

@@ -79,8 +79,8 @@ class RecordedStep:
 class _ReplayRecorder:
     """Records an episode as it is driven; `Driver.run` calls `before` and `after`."""
 
-    def __init__(self, driver: Driver, asked: ReplayRequest, follows: bool) -> None:
-        self.driver, self.asked, self.follows = driver, asked, follows
+    def __init__(self, driver: Driver, request: ReplayRequest, follows: bool) -> None:
+        self.driver, self.request, self.follows = driver, request, follows
         shielded = driver.env if driver.shield is None else driver.shield
         assert isinstance(shielded, Shield | ShieldedEnv)
         self.shielded = shielded
@@ -121,9 +121,11 @@ class _ReplayRecorder:
         frames = shielded.frame_decisions if isinstance(shielded, ShieldedEnv) else shielded.frame_decisions[0]
         seen = RecordedStep(self._first, record, list(frames), self._inputs, self._foreseen, record.explain())
         if self._copied is not None and record.overridden:
-            asked, buffer = self.asked, self.shielded.config.buffer
-            room = buffer.longitudinal, buffer.lateral
-            seen.what_if = what_if(self._copied, record.proposed, asked.policy, asked.seed, room, self._column)
+            request, buffer = self.request, self.shielded.config.buffer
+            buffer_size = buffer.longitudinal, buffer.lateral
+            seen.what_if = what_if(
+                self._copied, record.proposed, request.policy, request.seed, buffer_size, self._column
+            )
             self._next = self._first + round(_APART * self.base.config["simulation_frequency"])
         self._copied = None
         self.steps.append(seen)
@@ -147,15 +149,15 @@ class _ReplayRecorder:
 
 
 def collect(
-    asked: ReplayRequest, follows: bool = True, told: Callable[[float, Decision], None] | None = None
+    request: ReplayRequest, follows: bool = True, on_step: Callable[[float, Decision], None] | None = None
 ) -> tuple[Replay, EpisodeRecord]:
     """Drive an episode and record it.
 
     Parameters
     ----------
-    asked : specification of the episode.
+    request : specification of the episode.
     follows : whether refused proposals are simulated too (at most one a second for throttle and steering).
-    told : called after each step, as in `evaluation.running.driver.Driver.run`.
+    on_step : called after each step, as in `evaluation.running.driver.Driver.run`.
 
     Returns
     -------
@@ -163,19 +165,25 @@ def collect(
     """
     driver = Driver(
         DriverSpec(
-            asked.setting, asked.policy, asked.variant, asked.algorithm, asked.model, "highway-env", asked.sensor
+            request.setting,
+            request.policy,
+            request.variant,
+            request.algorithm,
+            request.model,
+            "highway-env",
+            request.sensor,
         )
     )
     try:
         with one_thread():
-            watch = _ReplayRecorder(driver, asked, follows)
+            watch = _ReplayRecorder(driver, request, follows)
 
             def after(time: float, step: Decision) -> None:
                 watch.after(step)
-                if told is not None:
-                    told(time, step)
+                if on_step is not None:
+                    on_step(time, step)
 
-            record = driver.run(asked.seed, after, watch.before)
+            record = driver.run(request.seed, after, watch.before)
             return _replay(watch, record), record
     finally:
         driver.env.close()
@@ -207,15 +215,15 @@ def _replay(watch: _ReplayRecorder, record: EpisodeRecord) -> Replay:
 
 
 def _about(watch: _ReplayRecorder, record: EpisodeRecord) -> dict[str, Any]:
-    asked = watch.asked
+    request = watch.request
     return {
         "setting": record.setting,
-        "environment": asked.setting.env_id,
+        "environment": request.setting.env_id,
         "policy": record.policy,
         "seed": record.seed,
-        "shield": asked.variant.place,
+        "shield": request.variant.place,
         "mode": record.mode,
-        "sensor": asked.sensor,
+        "sensor": request.sensor,
         "verification": record.verification,
         "crashed": record.crashed,
         "off_road": record.off_road,

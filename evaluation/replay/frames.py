@@ -55,7 +55,7 @@ def frames_of(
             about = seen.frames[age] if age < len(seen.frames) else None
             frames.append(_decided(number, seen, age, inputs, about, (world[at], columns, road, meta, dt * at)))
     for at in range(len(frames), len(world)):
-        frames.append(_bare(world[at], dt * at))
+        frames.append(_frame_without_decision(world[at], dt * at))
     return frames
 
 
@@ -69,7 +69,7 @@ def _decided(
 ) -> ReplayFrame:
     rows, columns, road, meta, time = where
     record = seen.record
-    told = record if about is None else about
+    shown = record if about is None else about
     acting = acting_decision(record, about, meta)
     plan, first = (acting.plan, 0) if acting is about else (None, 0)
     if plan is None:
@@ -86,11 +86,11 @@ def _decided(
         status="OFF" if record.tier is Tier.OFF else status_of(record, about, meta),
         acceleration=inputs[0],
         wheel=inputs[1],
-        tier=told.tier.value,
-        reason=told.reason.value,
-        margin=float(told.margin),
-        clause=told.clause,
-        binding=_binding(told, columns),
+        tier=shown.tier.value,
+        reason=shown.reason.value,
+        margin=float(shown.margin),
+        clause=shown.clause,
+        binding=_binding(shown, columns),
         others=_others(rows),
         plan=points,
         every=every,
@@ -98,7 +98,7 @@ def _decided(
     )
 
 
-def _bare(rows: FloatArray, time: float) -> ReplayFrame:
+def _frame_without_decision(rows: FloatArray, time: float) -> ReplayFrame:
     x, y, heading, speed = (float(value) for value in rows[0, : Track.LENGTH])
     return ReplayFrame(time, x, y, heading, speed, -1, "", nan, nan, "", "", nan, "", -1, _others(rows), [], 1, 0)
 

@@ -39,7 +39,7 @@ _CERTIFIED = "asked.json"
 class RecordedEpisode:
     """An episode of a run: its specification, its row, and differences of the library versions, in words."""
 
-    asked: ReplayRequest
+    request: ReplayRequest
     row: Mapping[str, Any]
     changed: tuple[str, ...]
 
@@ -85,20 +85,20 @@ def episode_of(run: str | Path, number: int, policy: str | None = None) -> Recor
         made = _as_compared(json.loads(certified.read_text(encoding="utf-8")), rows)
     if not 0 <= number < len(rows):
         raise ConfigError(f"{path.name} has the episodes 0 to {len(rows) - 1}, not {number}")
-    row, asked = rows[number], made.get("asked")
+    row, specification = rows[number], made.get("asked")
     if row.get("placement") == "none":
         raise ConfigError(f"episode {number} of {path.name} was driven without a shield; {_shielded(rows)}")
-    if not isinstance(asked, Mapping) or "shields" not in asked:
+    if not isinstance(specification, Mapping) or "shields" not in specification:
         raise ConfigError(f"{path.name} does not say how it was made; replay the seed {row['seed']} instead")
     name, _, sensor = row["setting"].partition(", ")
-    setting = _setting(name, asked["settings"])
+    setting = _setting(name, specification["settings"])
     if "placement" in row:
         placement, _, perception = row["placement"].partition(", ")
-        config = _config(asked["shields"][f"{name}, {row['placement']}, {row['mode']}"])
+        config = _config(specification["shields"][f"{name}, {row['placement']}, {row['mode']}"])
         variant = ShieldVariant(placement, config, perception or "simulator", row["mode"].partition(", ")[2])
     else:
-        variant = variant_for(_config(asked["shields"]), setting)
-    chosen = _policy(row["policy"], policy, asked["policies"])
+        variant = variant_for(_config(specification["shields"]), setting)
+    chosen = _policy(row["policy"], policy, specification["policies"])
     changed = differences({"version of": made.get("versions", {})}, {"version of": versions()})
     return RecordedEpisode(
         ReplayRequest(setting, chosen, variant, int(row["seed"]), sensor=sensor or "exact"),
@@ -130,7 +130,7 @@ def write_replay(run: Path, number: int, policy: str, page: Path) -> str:
     """
     try:
         recorded = episode_of(run, number, policy or None)
-        replay, record = collect(recorded.asked)
+        replay, record = collect(recorded.request)
     except ShieldError as error:
         return f"no replay: {error}"
     write_page(replay, page)

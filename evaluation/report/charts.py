@@ -105,8 +105,8 @@ def crosses(marks: Sequence[Mark], across: str, upward: str) -> str:
             if math.isfinite(low) and math.isfinite(high):
                 ends = (kx * low + x0, y, kx * high + x0, y) if flat else (x, ky * low + y0, x, ky * high + y0)
                 parts.append(_line(*ends, f"bar {kind}"))
-        told = f"<title>{escape(mark.label)}: {mark.x[0]:.3g}, {mark.y[0]:.4g}</title>"
-        parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5" class="dot {kind}">{told}</circle>')
+        tooltip = f"<title>{escape(mark.label)}: {mark.x[0]:.3g}, {mark.y[0]:.4g}</title>"
+        parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5" class="dot {kind}">{tooltip}</circle>')
     return _picture(_HEIGHT, f"{upward} against {across}", parts)
 
 

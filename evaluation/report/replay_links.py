@@ -83,8 +83,8 @@ def _is_of(run: Path, page: Path) -> bool:
 
 def _file_of(policy: str, made: Mapping[str, Any], run: Path) -> str:
     """File of a policy that is a model of the user; "" for a policy by name."""
-    asked: Mapping[str, Any] = made.get("asked", {}).get("policies", {})
-    if "file" not in asked.get(policy, {}) or policy in list_references():
+    policies_asked: Mapping[str, Any] = made.get("asked", {}).get("policies", {})
+    if "file" not in policies_asked.get(policy, {}) or policy in list_references():
         return ""
     beside = run.with_name(f"{policy}.zip")
     return str(beside) if beside.exists() and not Path(f"{policy}.zip").exists() else f"{policy}.zip"

@@ -81,8 +81,8 @@ def _reasons(row: _Row) -> str:
 
 def _verification(row: _Row) -> str:
     """The verification in words; a dash if nothing is verified."""
-    told = row.get("verification") or Verification.OFF.value
-    return "–" if told == Verification.OFF else str(told).replace("_", " ")
+    verification = row.get("verification") or Verification.OFF.value
+    return "–" if verification == Verification.OFF else str(verification).replace("_", " ")
 
 
 _NAMES = (
@@ -235,8 +235,8 @@ def made_of(frame: pd.DataFrame, path: Path) -> dict[str, Any]:
     """Manifest of a table that was read from a file, see `write_table`; empty without one."""
     beside = path.with_suffix(".json")
     if path.suffix == ".csv" and beside.is_file():
-        told: dict[str, Any] = json.loads(beside.read_text(encoding="utf-8"))
-        return told
+        manifest: dict[str, Any] = json.loads(beside.read_text(encoding="utf-8"))
+        return manifest
     return frame.attrs.get("made") or {}
 
 

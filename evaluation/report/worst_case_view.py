@@ -54,7 +54,7 @@ class _View(NamedTuple):
     foreseen : reachable lane intervals of the decision.
     geometry : lanes of the road.
     ego : row of the ego, (7,).
-    wish : path of the ego without other vehicles, (n, 2) [m].
+    proposed_path : path of the ego without other vehicles, (n, 2) [m].
     dt : duration of a frame [s].
     meetings : conflict zones of that path with vehicles from other roads, with the index of the interval.
     """
@@ -64,7 +64,7 @@ class _View(NamedTuple):
     foreseen: NetworkPrediction
     geometry: RoadGeometry
     ego: FloatArray
-    wish: FloatArray
+    proposed_path: FloatArray
     dt: float
     meetings: list[tuple[int, Any]]
 
@@ -172,21 +172,21 @@ def _view(env_id: str, base: Any, decision: Decision, foreseen: NetworkPredictio
     v, dt = base.vehicle, 1 / base.config["simulation_frequency"]
     ego = np.array([*v.position, v.heading, v.speed, v.LENGTH, v.WIDTH, 0.0])
     alone = ego_copy(base)
-    wish = [alone.position.copy()]
+    proposed_path = [alone.position.copy()]
     for _ in range(round(_FREE_PATH_TIME / dt)):
         alone.act()
         alone.step(dt)
-        wish.append(alone.position.copy())
-    view = _View(env_id, decision, foreseen, RoadGeometry.of(base), ego, np.array(wish), dt, [])
+        proposed_path.append(alone.position.copy())
+    view = _View(env_id, decision, foreseen, RoadGeometry.of(base), ego, np.array(proposed_path), dt, [])
     return view._replace(meetings=_meetings(view))
 
 
 def _meetings(view: _View) -> list[tuple[int, Any]]:
     """Conflict zones of vehicles from other roads with the ego's path, as polygons with the index of the interval."""
     foreseen, geometry = view.foreseen, view.geometry
-    if np.hypot(*np.ptp(view.wish, axis=0)) < 1.0:
+    if np.hypot(*np.ptp(view.proposed_path, axis=0)) < 1.0:
         return []
-    corridor, found = shapely.LineString(view.wish).buffer(0.5 * view.ego[5] + 0.3, cap_style="flat"), []
+    corridor, found = shapely.LineString(view.proposed_path).buffer(0.5 * view.ego[5] + 0.3, cap_style="flat"), []
     bodies = np.vstack([view.ego[None, :3], foreseen.rows[:, :3]])
     road, *roads = geometry.network.ids[geometry.closest(*bodies.T).lane, ROAD].tolist()
     for j in range(len(foreseen.lanes)):
@@ -221,10 +221,10 @@ def _draw(axis: Any, view: _View) -> None:
     for i, row in enumerate(foreseen.rows):
         _body(axis, row, "#4878d0" if i in met else "#8fb3e8")
     _body(axis, ego, "#32c800")
-    axis.plot(view.wish[:, 0], view.wish[:, 1], "--", color=_FREE_PATH_COLOR, linewidth=1.5, zorder=5)
+    axis.plot(view.proposed_path[:, 0], view.proposed_path[:, 1], "--", color=_FREE_PATH_COLOR, linewidth=1.5, zorder=5)
     axis.plot(foreseen.path[:, 0], foreseen.path[:, 1], color=_PATH, linewidth=2, zorder=5)
     axis.plot(*foreseen.path[-1, :2], "s", color=_PATH, markersize=5, zorder=5)
-    shown = np.vstack([ego[None, :2], foreseen.path[:, :2], view.wish])
+    shown = np.vstack([ego[None, :2], foreseen.path[:, :2], view.proposed_path])
     low, high = shown.min(axis=0), shown.max(axis=0)
     (x, y), wide = 0.5 * (low + high), max(1.0, *(0.5 * (high - low) + _AROUND) / _WINDOW)
     axis.set_xlim(x - wide * _WINDOW[0], x + wide * _WINDOW[0])

@@ -75,7 +75,9 @@ def reproduce(
         If there is no such preset or variant, or a count is not valid.
     """
     chosen = get_preset(preset, road)
-    asked = Reproduction(chosen, tuple(get_variants(list(variants), road)), **{"steps": chosen.steps, **counts})
+    chosen_parts = Reproduction(chosen, tuple(get_variants(list(variants), road)), **{"steps": chosen.steps, **counts})
     folder = Path("runs", "reproduce", f"{road}-{preset}") if out is None else Path(out)
-    episodes = run(asked, folder, jobs, tell)
-    return ReproductionResult(episodes, summary(episodes), judge(episodes), write(episodes, asked, folder), folder)
+    episodes = run(chosen_parts, folder, jobs, tell)
+    return ReproductionResult(
+        episodes, summary(episodes), judge(episodes), write(episodes, chosen_parts, folder), folder
+    )

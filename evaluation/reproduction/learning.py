@@ -53,8 +53,8 @@ def is_trained(path: Path) -> bool:
     manifest = manifest_path(path)
     if not (path.is_file() and manifest.is_file()):
         return False
-    told = json.loads(manifest.read_text(encoding="utf-8"))
-    return bool(told.get("sha256") == file_hash(path))
+    recorded = json.loads(manifest.read_text(encoding="utf-8"))
+    return bool(recorded.get("sha256") == file_hash(path))
 
 
 def train_variant(preset: Preset, variant: ReportVariant, seed: int, steps: int, path: Path) -> dict[str, Any]:
@@ -83,7 +83,7 @@ def train_variant(preset: Preset, variant: ReportVariant, seed: int, steps: int,
     model.save(path)
     manifest = {
         "preset": preset.name,
-        "variant": variant.told(),
+        "variant": variant.as_dict(),
         "algorithm": variant.learner,
         "seed": seed,
         "steps": steps,

@@ -44,7 +44,7 @@ class _NoisyModel:
         """Prepare for a new episode."""
         self._generator = np.random.default_rng([seed, NOISE_STREAM])
         self._over_time: ConfidenceOverTime | None = None
-        self.asked: list[int] = []
+        self.actions: list[int] = []
         self.seen: list[Any] = []
 
     def predict(
@@ -64,7 +64,7 @@ class _NoisyModel:
             column = confidence_across_features(rows)
         shown = np.column_stack([rows, column]).astype(np.float32)
         action = self._model.predict(shown, deterministic=True)[0]
-        self.asked.append(int(action))
+        self.actions.append(int(action))
         self.seen.append(shown[0])
         return action, state
 
@@ -117,13 +117,13 @@ def _observed(preset: Preset, variant: ReportVariant, model: Any, seeds: Sequenc
             start = np.array([decisions == 0])
             action, _ = driver.predict(observation, episode_start=start, deterministic=True)
             observation, reward, terminated, truncated, info = env.step(int(action))
-            told = shield.report() if shield is not None else info["shield"]
-            skill = info.get("skill", {"steps": 1, "overridden": told["overridden"]})
+            reported = shield.report() if shield is not None else info["shield"]
+            skill = info.get("skill", {"steps": 1, "overridden": reported["overridden"]})
             total += float(reward)
             decisions, steps = decisions + 1, steps + skill["steps"]
             overrides += int(skill["overridden"])
-            frames += int(told["frames_overridden"])
-            fallbacks += told["guarantee"] == "none"
+            frames += int(reported["frames_overridden"])
+            fallbacks += reported["guarantee"] == "none"
             speeds.append(float(info["speed"]))
             over = bool(terminated or truncated)
         seen = np.array(policy.seen)
@@ -137,7 +137,7 @@ def _observed(preset: Preset, variant: ReportVariant, model: Any, seeds: Sequenc
                 "decisions": decisions,
                 "mean_speed": float(np.mean(speeds)),
                 "min_gap": float("nan"),
-                "slow": sum(each == slow for each in policy.asked),
+                "slow": sum(each == slow for each in policy.actions),
                 "replaced": 0,
                 "overridden": overrides,
                 "frames": len(base.frames) - 1,

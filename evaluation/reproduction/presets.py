@@ -91,7 +91,7 @@ class Preset:
         """Discount of a decision, for all learners."""
         return float(self.hyperparameters["gamma"])
 
-    def told(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Any]:
         """The values that determine episodes, as plain values."""
         left_out = {"description"} | ({"road", "scale"} if self.road == "highway" else set())
         plain = {each.name: getattr(self, each.name) for each in fields(self) if each.name not in left_out}

@@ -90,12 +90,12 @@ class Reproduction:
         """
         return variant.pooled or (bool(variant.shield) and self.preset.road == "roundabout")
 
-    def told(self, variant: ReportVariant) -> dict[str, Any]:
+    def as_dict(self, variant: ReportVariant) -> dict[str, Any]:
         """The values that determine the rows of a variant, as plain values."""
-        told: dict[str, Any] = {"preset": self.preset.told(), "variant": variant.told()}
+        specified: dict[str, Any] = {"preset": self.preset.as_dict(), "variant": variant.as_dict()}
         if variant.learner and variant.learner != "cem":
-            told |= {"training steps": self.steps, "hyperparameters": hyperparameters(self.preset, variant)}
-        plain: dict[str, Any] = json.loads(json.dumps(told))
+            specified |= {"training steps": self.steps, "hyperparameters": hyperparameters(self.preset, variant)}
+        plain: dict[str, Any] = json.loads(json.dumps(specified))
         return plain
 
 
@@ -219,7 +219,7 @@ def _check(experiment: Reproduction, variant: ReportVariant, seed: int, folder: 
     before = Parts(folder).record(part)
     if before is None:
         return
-    differ = differences(before["asked"], experiment.told(variant))
+    differ = differences(before["asked"], experiment.as_dict(variant))
     differ += differences({"version of": before["versions"]}, {"version of": versions()})
     if before["model"] and model.is_file() and file_hash(model) != before["model"]["sha256"]:
         differ.append(f"the model {model.name}")
@@ -254,8 +254,8 @@ def _part(
     driven.insert(1, "variant", variant.name)
     driven.insert(2, "training_seed", seed)
     frame = pd.concat([before, driven], ignore_index=True) if len(before) else driven
-    told = {
-        "asked": experiment.told(variant),
+    manifest = {
+        "asked": experiment.as_dict(variant),
         "model": None if model is None else {"file": path.name, "sha256": file_hash(path)},
         "training_seed": seed,
         "seeds": [int(frame["seed"].min()), int(frame["seed"].max())],
@@ -264,7 +264,7 @@ def _part(
         "cpu_seconds": _by_phase(*(each.cpu for each in (began, trained, driven_at))),
         "versions": versions(),
     }
-    parts.write(part, frame, told)
+    parts.write(part, frame, manifest)
     if tell is not None:
         crashes = int(driven["crashed"].sum())
         tell(
@@ -294,16 +294,16 @@ def _write_manifest(
     parts = Parts(folder)
     names = [_names(variant, seed, folder)[1] for variant in variants for seed in range(experiment.seeds)]
     records = [record for name in names if (record := parts.record(name)) is not None]
-    asked = {
+    specified = {
         "preset": experiment.preset.name,
-        "variants": {each.name: experiment.told(each)["variant"] for each in variants},
+        "variants": {each.name: experiment.as_dict(each)["variant"] for each in variants},
         **{name: getattr(experiment, name) for name in ("seeds", "episodes", "pooled", "steps")},
         "first seed": first_seed(experiment.preset),
     }
     models = {each["model"]["file"]: each["model"]["sha256"] for each in records if each["model"]}
     spent = {key: round(sum(each["seconds"][key] for each in records), 1) for key in _PHASES}
     manifest = {
-        **provenance(asked, models=models),
+        **provenance(specified, models=models),
         "commits of parts": sorted({each["commit"] for each in records}),
         "seconds of this call": round(seconds, 1),
         "seconds of parts": spent,

@@ -69,14 +69,14 @@ def compare_shields(
         If there is no such road or shield, or the folder holds another experiment or rows of an earlier version, or
         cannot be written.
     """
-    chosen, asked = list(roads) or list(ROADS), list(shields) or list(SHIELDS)
+    chosen, shield_names = list(roads) or list(ROADS), list(shields) or list(SHIELDS)
     for name in chosen:
         check_name("road", name, ROADS)
-    for name in asked:
+    for name in shield_names:
         check_name("shield", name, SHIELDS)
     if (folder / "episodes").is_dir():
         raise ConfigError(f"{folder} holds rows of an earlier version, which was no store; take another --out")
-    parts, refused = _parts([ROADS[name] for name in chosen], asked, episodes)
+    parts, refused = _parts([ROADS[name] for name in chosen], shield_names, episodes)
     store = Store.in_folder(folder, *_identity(parts, episodes, refused), "take another --out")
     rows, run = [], RunOptions(Processes(jobs), store)
     for part in parts:
@@ -137,7 +137,7 @@ def _identity(parts: Iterable[_Part], episodes: int, refused: dict[str, str]) ->
 
     Parts that cannot be driven are added to `refused`.
     """
-    asked: dict[str, Any] = {**{key: {} for key in SECTIONS}, "seed": FIRST_SEED, "episodes": episodes}
+    specification: dict[str, Any] = {**{key: {} for key in SECTIONS}, "seed": FIRST_SEED, "episodes": episodes}
     models, tried = dict[str, str](), dict[tuple[str, str], dict[str, Any]]()
     for part in parts:
         comparison = Comparison(
@@ -145,14 +145,17 @@ def _identity(parts: Iterable[_Part], episodes: int, refused: dict[str, str]) ->
         )
         key = part.setting.name, part.policy
         try:
-            tried[key] = tried.get(key) or comparison.asked()
+            tried[key] = tried.get(key) or comparison.specification()
         except (ConfigError, SceneError) as error:
             refused[part.name] = str(error)
             continue
-        told = {**tried[key], "shields": comparison.shields()}
-        asked = {**told, **{section: {**asked[section], **told[section]} for section in SECTIONS}}
+        part_specification = {**tried[key], "shields": comparison.shields()}
+        specification = {
+            **part_specification,
+            **{section: {**specification[section], **part_specification[section]} for section in SECTIONS},
+        }
         models |= comparison.models
-    return asked, models
+    return specification, models
 
 
 def _interval(row: Mapping[str, Any], key: str, factor: float = 1.0) -> str:

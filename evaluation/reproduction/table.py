@@ -51,9 +51,11 @@ def summary(episodes: pd.DataFrame) -> pd.DataFrame:
             "overridden": float(rows["overridden"].sum() / steps),
             "confidence": float(rows["confidence"].mean()),
         }
-        told = published_for(str(rows["preset"].iloc[0])).get(name)
-        if told is not None:
-            row |= {f"published_{key}": getattr(told, key) for key in ("mean", "deviation", "crash_rate", "confidence")}
+        figures = published_for(str(rows["preset"].iloc[0])).get(name)
+        if figures is not None:
+            row |= {
+                f"published_{key}": getattr(figures, key) for key in ("mean", "deviation", "crash_rate", "confidence")
+            }
         found.append(row)
     return pd.DataFrame(found)
 

@@ -63,7 +63,7 @@ class ReportVariant:
         """Whether its episodes are driven one at a time, and so are fewer."""
         return self.observed or self.learner == "cem"
 
-    def told(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Any]:
         """The variant as plain values."""
         plain = asdict(self)
         return plain if self.default_road else {name: x for name, x in plain.items() if name != "default_road"}
@@ -143,8 +143,10 @@ def get_variants(names: Iterable[str] = (), road: str = "highway") -> list[Repor
     ConfigError
         With the valid names.
     """
-    asked = list(names) or [each.name for each in VARIANTS.values() if road == "roundabout" or not each.default_road]
-    for name in asked:
+    requested = list(names) or [
+        each.name for each in VARIANTS.values() if road == "roundabout" or not each.default_road
+    ]
+    for name in requested:
         check_name("variant", name, VARIANTS)
-    wanted = {*asked, *(VARIANTS[name].model for name in asked)}
+    wanted = {*requested, *(VARIANTS[name].model for name in requested)}
     return [each for each in VARIANTS.values() if each.name in wanted]

@@ -90,7 +90,7 @@ def judge(episodes: pd.DataFrame) -> list[Verdict]:
     """
     found = {row["variant"]: row for row in summary(episodes).to_dict("records")}
     published = published_for(str(episodes["preset"].iloc[0]))
-    without_crash = [name for name, told in published.items() if told.crash_rate == 0.0]
+    without_crash = [name for name, figures in published.items() if figures.crash_rate == 0.0]
     return [
         *_compared(episodes, found),
         *_without_crash(found, without_crash),
@@ -138,13 +138,13 @@ def _without_crash(found: dict[str, dict[str, Any]], names: Iterable[str]) -> It
 
 
 def _compatible(found: dict[str, dict[str, Any]], published: Mapping[str, PublishedFigures]) -> Iterator[Verdict]:
-    for name, told in published.items():
+    for name, figures in published.items():
         if name not in found:
             continue
-        count, rate = round(told.crash_rate * told.episodes), found[name]["crash_rate"]
-        drawn = clopper_pearson(count, told.episodes)
+        count, rate = round(figures.crash_rate * figures.episodes), found[name]["crash_rate"]
+        drawn = clopper_pearson(count, figures.episodes)
         sentence = (
-            f"the published {count} crashes in {told.episodes} episodes of {VARIANTS[name].label!r} "
+            f"the published {count} crashes in {figures.episodes} episodes of {VARIANTS[name].label!r} "
             f"(95 % [{100 * drawn.low:.0f}, {100 * drawn.high:.0f}] %) go with {100 * rate:.1f} % of "
             f"{found[name]['episodes']:,} here."
         )
@@ -179,7 +179,7 @@ def _as_coded(found: dict[str, dict[str, Any]]) -> Iterator[Verdict]:
             sentence = f"the crash rate of {VARIANTS[name].label!r} is from {low} to {high}: {rate:.3f}."
             yield Verdict(f"{name}-range", "figure", low <= rate <= high, sentence)
     if "noise" in found:
-        told, confidence = PUBLISHED["noise"].confidence, found["noise"]["confidence"]
-        assert told is not None
-        sentence = f"the confidence of 'noise' is within 0.01 of the published {told}: {confidence:.4f}."
-        yield Verdict("noise-confidence", "figure", bool(np.abs(confidence - told) <= 0.01), sentence)
+        figures, confidence = PUBLISHED["noise"].confidence, found["noise"]["confidence"]
+        assert figures is not None
+        sentence = f"the confidence of 'noise' is within 0.01 of the published {figures}: {confidence:.4f}."
+        yield Verdict("noise-confidence", "figure", bool(np.abs(confidence - figures) <= 0.01), sentence)

@@ -88,8 +88,9 @@ class CertifyRun:
         """The variant of the shield between the policy and the environment."""
         return variant_for(self.config, self.setting)
 
-    def told(self) -> dict[str, Any]:
-        """The specification as plain values, with the keys of `evaluation.running.comparing.Comparison.asked`."""
+    def as_dict(self) -> dict[str, Any]:
+        """The specification as plain values, with the keys of
+        `evaluation.running.comparing.Comparison.specification`."""
         shield = f"{self.setting.name}, {self.variant.place}, {self.variant.mode}"
         return {
             "settings": {self.setting.name: of_environment(self.setting)},
@@ -121,12 +122,12 @@ class CertifyRun:
         return [(first, min(_PART, last - first)) for first in range(self.seed, last, _PART)]
 
 
-def certify(asked: CertifyRun, folder: str | Path, jobs: int = 1, progress: Any = None) -> pd.DataFrame:
+def certify(certify_run: CertifyRun, folder: str | Path, jobs: int = 1, progress: Any = None) -> pd.DataFrame:
     """Drive the episodes that are not in the folder yet, and return all of them.
 
     Parameters
     ----------
-    asked : specification of the run.
+    certify_run : specification of the run.
     folder : folder of the parts (see `evaluation.running.parts.Parts`). A run can extend one with fewer episodes.
     jobs : processes; -1 for one per core.
     progress : called with the table of each part as it finishes.
@@ -144,28 +145,28 @@ def certify(asked: CertifyRun, folder: str | Path, jobs: int = 1, progress: Any 
     ConfigError
         If `episodes` is less than 1, or the folder holds the parts of another run or cannot be written.
     """
-    if asked.episodes < 1:
-        raise ConfigError(f"have at least one episode, not {asked.episodes}")
+    if certify_run.episodes < 1:
+        raise ConfigError(f"have at least one episode, not {certify_run.episodes}")
     folder = Path(folder)
     parts = Parts(folder)
-    _claim(parts, asked)
-    left = [part for part in asked.parts() if not parts.has(_name(*part))]
-    files = hash_of_files(asked.policy)
-    for frame in _driven(partial(_drive, asked, folder, files), left, joblib.effective_n_jobs(jobs)):
+    _claim(parts, certify_run)
+    left = [part for part in certify_run.parts() if not parts.has(_name(*part))]
+    files = hash_of_files(certify_run.policy)
+    for frame in _driven(partial(_drive, certify_run, folder, files), left, joblib.effective_n_jobs(jobs)):
         if progress is not None:
             progress(frame)
-    whole = pd.concat([parts.read(_name(*part)) for part in asked.parts()], ignore_index=True)
+    whole = pd.concat([parts.read(_name(*part)) for part in certify_run.parts()], ignore_index=True)
     # Parts of an older version lack some columns.
-    whole["placement"] = asked.variant.place
+    whole["placement"] = certify_run.variant.place
     whole = whole if "rules" in whole else whole.assign(rules=None)
     whole.attrs["made"] = parts.manifest
     return whole
 
 
-def _claim(parts: Parts, asked: CertifyRun) -> None:
+def _claim(parts: Parts, certify_run: CertifyRun) -> None:
     """Write the specification into the folder, or raise `ConfigError` if the folder belongs to another run."""
-    _adopt(parts, asked)
-    made = provenance(json.loads(json.dumps(asked.told())), models=asked.models)
+    _adopt(parts, certify_run)
+    made = provenance(json.loads(json.dumps(certify_run.as_dict())), models=certify_run.models)
     before = parts.manifest
     if before is not None:
         for key in ("settings", "policies", "shields"):
@@ -179,7 +180,7 @@ def _claim(parts: Parts, asked: CertifyRun) -> None:
     parts.claim(made)
 
 
-def _adopt(parts: Parts, asked: CertifyRun) -> None:
+def _adopt(parts: Parts, certify_run: CertifyRun) -> None:
     """Convert a folder of an earlier version, with parts beside asked.json and other keys in it, to a store."""
     note = parts.folder / "asked.json"
     if not note.is_file():
@@ -187,11 +188,11 @@ def _adopt(parts: Parts, asked: CertifyRun) -> None:
     old = json.loads(note.read_text(encoding="utf-8"))
     was = dict(old["asked"])
     policy, versions_then = was.pop("policy"), was.pop("version of")
-    shield = f"{asked.setting.name}, {asked.variant.place}, {asked.variant.mode}"
+    shield = f"{certify_run.setting.name}, {certify_run.variant.place}, {certify_run.variant.mode}"
     files = [path for path in parts.folder.glob("*.parquet") if _PART_NAME.fullmatch(path.stem)]
     count = sum(len(pd.read_parquet(path, columns=["seed"])) for path in files)
     words = {
-        "settings": {asked.setting.name: was.pop("setting")},
+        "settings": {certify_run.setting.name: was.pop("setting")},
         "policies": {policy_name(policy["name"], None): policy},
         "shields": {shield: was.pop("shield")},
     }
@@ -217,32 +218,34 @@ def _driven(
 
 
 @lru_cache(maxsize=1)
-def _episode_batch(asked: CertifyRun, files: str) -> Many | None:
+def _episode_batch(certify_run: CertifyRun, files: str) -> Many | None:
     """The batch runner, or None where it is not supported; cached while `files`, the hashes of the policy's files, stay
     the same."""
 
     def compiled() -> tuple[Many, bool]:
-        many = Many(asked.setting, asked.policy, asked.config)
+        many = Many(certify_run.setting, certify_run.policy, certify_run.config)
         return many, many.exact
 
     try:
-        return compiled_if_supported(asked.simulator, compiled)
+        return compiled_if_supported(certify_run.simulator, compiled)
     except ConfigError:
         return None  # `run_paired` may support the run, or raises an error that names what is missing
 
 
-def _drive(asked: CertifyRun, folder: Path, files: str, first: int, count: int) -> pd.DataFrame:
+def _drive(certify_run: CertifyRun, folder: Path, files: str, first: int, count: int) -> pd.DataFrame:
     """Drive one part and write it atomically; `files` are the hashes of the policy's files."""
     seeds = range(first, first + count)
-    check_files(asked.policy, None, files)
-    many = _episode_batch(asked, files)
+    check_files(certify_run.policy, None, files)
+    many = _episode_batch(certify_run, files)
     if many is not None:
         frame = many.run(seeds)
     else:
-        table = run_paired(asked.setting, asked.policy, [asked.variant], seeds, simulator=asked.simulator)
+        table = run_paired(
+            certify_run.setting, certify_run.policy, [certify_run.variant], seeds, simulator=certify_run.simulator
+        )
         frame = table[list(COLUMNS)].assign(fallbacks=table[FALLBACKS].sum(axis=1))
-    frame.insert(2, "placement", asked.variant.place)
-    check_files(asked.policy, None, files)
+    frame.insert(2, "placement", certify_run.variant.place)
+    check_files(certify_run.policy, None, files)
     Parts(folder).write(_name(first, count), frame)
     return frame
 

@@ -62,7 +62,7 @@ class Comparison:
                 )
             named[label] = each
 
-    def asked(self) -> dict[str, Any]:
+    def specification(self) -> dict[str, Any]:
         """The values that determine the rows, as plain values (see `evaluation.running.store.Store`).
 
         Raises
@@ -112,8 +112,8 @@ class Comparison:
             for policy in self.policies
         ]
         driven = pd.concat(parts, ignore_index=True)
-        asked = set(driven[list(KEY)].itertuples(index=False, name=None))
-        others = [row for row in store.rows if tuple(row[key] for key in KEY) not in asked]
+        driven_keys = set(driven[list(KEY)].itertuples(index=False, name=None))
+        others = [row for row in store.rows if tuple(row[key] for key in KEY) not in driven_keys]
         return pd.concat([pd.DataFrame(others), driven], ignore_index=True) if others else driven
 
     def _policies(self) -> Mapping[str, Any]:

@@ -114,11 +114,11 @@ class Driver:
         tally, total, steps, info = Tally(), 0.0, 0, dict[str, Any]()
         period = 1.0 / float(cast(Any, self.env.unwrapped).config["policy_frequency"])
         for reward, info in self.decisions(seed, before):
-            told = self._shield_info(info)
-            tally.add(told)
+            record = self._shield_info(info)
+            tally.add(record)
             shielded = self.env if self.shield is None else self.shield
             own = shielded.decisions if isinstance(shielded, ShieldedEnv | Shield) else []
-            self.log.add(*self._taken, reward, told, own[0] if len(own) == 1 else None)
+            self.log.add(*self._taken, reward, record, own[0] if len(own) == 1 else None)
             if after is not None and isinstance(shielded, ShieldedEnv | Shield) and shielded.last_decision is not None:
                 after(steps * period, shielded.last_decision)
             total += reward

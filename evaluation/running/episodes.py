@@ -169,8 +169,8 @@ def _key(row: dict[str, Any]) -> tuple[str, str, int]:
 def _stored_rows(specs: Sequence[DriverSpec], seeds: Sequence[int], store: Store) -> list[dict[str, Any]]:
     """Stored rows of these specs and seeds."""
     whose = specs[0].setting.name, policy_name(specs[0].policy, specs[0].model)
-    asked = {(each.variant.place, each.variant.mode, seed) for each in specs for seed in seeds}
-    return [row for row in store.rows if (row["setting"], row["policy"]) == whose and _key(row) in asked]
+    requested = {(each.variant.place, each.variant.mode, seed) for each in specs for seed in seeds}
+    return [row for row in store.rows if (row["setting"], row["policy"]) == whose and _key(row) in requested]
 
 
 def _calls(

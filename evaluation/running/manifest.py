@@ -28,13 +28,13 @@ _SHOWN = 6
 
 
 def provenance(
-    asked: Mapping[str, Any], earlier: Iterable[str] = (), models: Mapping[str, str] | None = None
+    specification: Mapping[str, Any], earlier: Iterable[str] = (), models: Mapping[str, str] | None = None
 ) -> dict[str, Any]:
     """Make the manifest of a run.
 
     Parameters
     ----------
-    asked : values that determine the rows, as plain values.
+    specification : values that determine the rows, as plain values.
     earlier : command lines of the runs that this one continues.
     models : hash of each model file, by name (see `evaluation.running.identity.file_hash`).
 
@@ -44,7 +44,7 @@ def provenance(
     machine.
     """
     return {
-        "asked": dict(asked),
+        "asked": dict(specification),
         "command": " ".join(["shield", *sys.argv[1:]]),
         "earlier": list(earlier),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -60,14 +60,14 @@ def provenance(
 def commit() -> str:
     """Commit of the library's source, with "+" if files have changed since; "" without git."""
     folder = Path(__file__).parent
-    told = []
+    answers = []
     for command in (("rev-parse", "HEAD"), ("status", "--porcelain", "--untracked-files=no")):
         try:
             done = subprocess.run(["git", *command], cwd=folder, capture_output=True, text=True, timeout=10, check=True)
         except (OSError, subprocess.SubprocessError):
             return ""
-        told.append(done.stdout.strip())
-    return told[0] + ("+" if told[1] else "")
+        answers.append(done.stdout.strip())
+    return answers[0] + ("+" if answers[1] else "")
 
 
 def check_fits(name: str, before: Mapping[str, Any], now: Mapping[str, Any], instead: str) -> None:
@@ -99,10 +99,13 @@ def check_fits(name: str, before: Mapping[str, Any], now: Mapping[str, Any], ins
 
 def extended(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
     """Manifest of a run that continues another (see `check_fits`): the specifications of both together."""
-    was, asked = before["asked"], now["asked"]
-    whole = {**asked, **{key: {**was.get(key, {}), **asked[key]} for key in SECTIONS if key in asked}}
-    if "episodes" in was and "episodes" in asked:
-        whole["episodes"] = max(was["episodes"], asked["episodes"])
+    was, specification = before["asked"], now["asked"]
+    whole = {
+        **specification,
+        **{key: {**was.get(key, {}), **specification[key]} for key in SECTIONS if key in specification},
+    }
+    if "episodes" in was and "episodes" in specification:
+        whole["episodes"] = max(was["episodes"], specification["episodes"])
     commands = dict.fromkeys([*before.get("earlier", ()), before.get("command", "")])
     models = {**before.get("models", {}), **now["models"]}
     return {**now, "asked": whole, "earlier": list(commands), "models": models}

@@ -51,7 +51,7 @@ __all__ = [
 
 _META = {"faster": "FASTER", "slower": "SLOWER", "idle": "IDLE", "left": "LANE_LEFT", "right": "LANE_RIGHT"}
 _INPUTS = {"throttle", "idle"}
-_TEAM = (
+_SEVERAL_EGOS = (
     "several egos are driven by ShieldedEnv(env, ShieldConfig.simulated_traffic()), whose step takes a tuple of actions"
 )
 _WEAVING = ("LANE_LEFT", "FASTER", "LANE_RIGHT", "FASTER")
@@ -127,7 +127,7 @@ class RandomActions:
             return np.asarray(space.start + self._generator.integers(space.n)), state
         if isinstance(space, gym.spaces.Box):
             return self._generator.uniform(space.low, space.high).astype(space.dtype), state
-        several = f"; {_TEAM}" if isinstance(space, gym.spaces.Tuple) else ""
+        several = f"; {_SEVERAL_EGOS}" if isinstance(space, gym.spaces.Tuple) else ""
         raise ConfigError(f"random actions need a Discrete or a Box action space, not {space}{several}")
 
     def plan(self, seed: int, steps: int) -> NDArray[np.intp]:
@@ -238,7 +238,7 @@ def _constant(name: str, env: gym.Env[Any, Any]) -> int | NDArray[np.float32]:
         inputs = _inputs(name, Actuators.of(kind))
         return int(inputs) if isinstance(kind, DiscreteAction) else inputs
     if label == "MultiAgentAction":
-        raise ConfigError(f"policy {name!r} drives one ego, and this environment takes {label}; {_TEAM}")
+        raise ConfigError(f"policy {name!r} drives one ego, and this environment takes {label}; {_SEVERAL_EGOS}")
     if label != "DiscreteMetaAction":
         raise ConfigError(
             f"policy {name!r} needs DiscreteMetaAction, ContinuousAction or DiscreteAction; this environment takes"

@@ -83,12 +83,12 @@ def write_steps(path: Path, episodes: pd.DataFrame) -> pd.DataFrame:
     The episodes without that column.
     """
     has = episodes[DECISIONS].map(lambda each: isinstance(each, str))
-    frame, asked = steps_of(episodes[has].to_dict("records")), {_key(row) for row in episodes.to_dict("records")}
+    frame, requested = steps_of(episodes[has].to_dict("records")), {_key(row) for row in episodes.to_dict("records")}
     if path.is_file() and not has.all():
         before = _read(path)
         keys = pd.Series(list(before[list(KEY)].itertuples(index=False, name=None)), before.index)
         new = {_key(row) for row in episodes[has].to_dict("records")}
-        frame = pd.concat([before[keys.isin(asked - new)], frame], ignore_index=True)
+        frame = pd.concat([before[keys.isin(requested - new)], frame], ignore_index=True)
     keep_steps(path, frame)
     return episodes.drop(columns=DECISIONS)
 

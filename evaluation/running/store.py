@@ -39,7 +39,7 @@ class Store:
     Parameters
     ----------
     path : path of the final table; until then the episodes are in the folder PATH.episodes. None keeps them in memory.
-    asked : values that determine the rows, as plain values: mappings by name under the keys in
+    specification : values that determine the rows, as plain values: mappings by name under the keys in
         `evaluation.running.manifest.SECTIONS`, and values that all rows share.
     resume : whether to continue a stopped run, or to extend a finished one.
     finished : manifest and rows of a finished run.
@@ -62,7 +62,7 @@ class Store:
     def __init__(
         self,
         path: Path | None,
-        asked: Mapping[str, Any],
+        specification: Mapping[str, Any],
         resume: bool = False,
         finished: tuple[Mapping[str, Any], list[dict[str, Any]]] | None = None,
         models: Mapping[str, str] | None = None,
@@ -71,7 +71,7 @@ class Store:
         self._open = 0
         self._synced = -_SYNC
         self.parts: Parts | None = None
-        self.made = provenance(json.loads(json.dumps(asked)), models=models)
+        self.made = provenance(json.loads(json.dumps(specification)), models=models)
         if path is None:
             return
         folder = _folder(path)
@@ -93,14 +93,18 @@ class Store:
 
     @classmethod
     def in_folder(
-        cls, folder: Path, asked: Mapping[str, Any], models: Mapping[str, str] | None = None, instead: str = _AGAIN
+        cls,
+        folder: Path,
+        specification: Mapping[str, Any],
+        models: Mapping[str, str] | None = None,
+        instead: str = _AGAIN,
     ) -> Store:
         """A store that remains a folder; an existing one is continued.
 
         Parameters
         ----------
         folder : the folder.
-        asked, models : as in the class.
+        specification, models : as in the class.
         instead : advice for the message, if the folder holds something else.
 
         Raises
@@ -108,7 +112,7 @@ class Store:
         ConfigError
             If the folder holds episodes of another comparison, or of unknown origin, or cannot be written.
         """
-        store = cls(None, asked, models=models)
+        store = cls(None, specification, models=models)
         store.parts = Parts(folder)
         if store.parts.manifest is not None:
             store._go_on(str(folder), *read_store(folder), instead)
@@ -144,9 +148,9 @@ class Store:
         if self._open >= _PART:
             self._close()
 
-    def note(self, told: Mapping[str, Any]) -> None:
+    def note(self, entries: Mapping[str, Any]) -> None:
         """Add values to the manifest that do not determine the rows."""
-        self.made = {**self.made, **told}
+        self.made = {**self.made, **entries}
         if self.parts is not None:
             self.parts.claim(self.made)
 

@@ -131,11 +131,11 @@ class ComplexRoadsEnv(AbstractEnv):  # type: ignore[misc]
         populate(self.road, self.course, self.config["other_vehicles_type"], self.config["vehicle_density"], ego)
 
     def _drawn_destination(self) -> str:
-        exits, asked = list(self.course.exits), self.config["destination"]
+        exits, wanted = list(self.course.exits), self.config["destination"]
         drawn = exits[int(self.np_random.integers(len(exits)))]
-        if asked is not None and asked not in exits:
-            raise ConfigError(f"there is no exit {asked!r}; have {', '.join(exits)}")
-        return drawn if asked is None else str(asked)
+        if wanted is not None and wanted not in exits:
+            raise ConfigError(f"there is no exit {wanted!r}; have {', '.join(exits)}")
+        return drawn if wanted is None else str(wanted)
 
     def _make_ego(self) -> Any:
         spawns, lane_id = self.course.spawns, 1

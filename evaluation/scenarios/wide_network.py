@@ -58,9 +58,9 @@ class WideNetwork(RoadNetwork):  # type: ignore[misc]
         """Index of the lane nearest to a position [m], with regard to a heading [rad] if it is given."""
         away = np.hypot(self._circles[:, 0] - position[0], self._circles[:, 1] - position[1]) - self._circles[:, 2]
         near = self._lanes[int(away.argmin())].distance_with_heading(position, heading)
-        asked = np.flatnonzero(away <= near)
-        distances = [self._lanes[i].distance_with_heading(position, heading) for i in asked]
-        return self._indexes[int(asked[int(np.argmin(distances))])]
+        candidates = np.flatnonzero(away <= near)
+        distances = [self._lanes[i].distance_with_heading(position, heading) for i in candidates]
+        return self._indexes[int(candidates[int(np.argmin(distances))])]
 
 
 def _circle(lane: AbstractLane) -> FloatArray:

@@ -161,11 +161,11 @@ class Checkpoints:
             # In a resumed run the statistics contain the first observations of `learn`, so they are restored.
             saved = VecNormalize.load(str(folder / "statistics.pkl"), statistics.venv)
             statistics.obs_rms, statistics.ret_rms = saved.obs_rms, saved.ret_rms
-        held: Any = model
-        held._last_obs = env.reset()
-        held._last_episode_starts = np.ones(env.num_envs, bool)
+        writable: Any = model
+        writable._last_obs = env.reset()
+        writable._last_episode_starts = np.ones(env.num_envs, bool)
         if statistics is not None:
-            held._last_original_obs = statistics.get_original_obs()
+            writable._last_original_obs = statistics.get_original_obs()
 
     def _state(self, folder: Path) -> dict[str, Any]:
         found: dict[str, Any] = pickle.loads((folder / "state.pkl").read_bytes())

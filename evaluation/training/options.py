@@ -209,12 +209,12 @@ def _check_shield(options: TrainingOptions) -> None:
     if options.masks and options.algorithm not in ("ppo", "maskableppo"):
         raise ConfigError(f"masks are for ppo, not {options.algorithm}")
     if options.shield == "none":
-        for asked, what in (
+        for requested, what in (
             (penalty, "override_penalty"),
             (options.learner == "maskableppo", "masks"),
             (options.learn_from == "executed", "learn_from='executed'"),
         ):
-            if asked:
+            if requested:
                 raise ConfigError(f"{what} goes with a shield to train inside: have shield={', '.join(PROFILES)}")
     if options.learn_from == "executed" and options.learner == "maskableppo":
         raise ConfigError("with masks every proposal is one that verifies: learn from what is proposed")

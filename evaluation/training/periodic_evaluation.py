@@ -61,12 +61,12 @@ class PeriodicEvaluation(BaseCallback):
         self._options = options
         self.rows: list[dict[str, Any]] = []
         # Returns are those of the environment; the penalty is part of the score only.
-        bare = options.over(override_penalty=0.0)
-        made = make_training_envs(bare, 1)
+        without_penalty = options.over(override_penalty=0.0)
+        made = make_training_envs(without_penalty, 1)
         envs = min(options.evaluation_episodes, _COMPILED if made.driven_in == "compiled" else _LIVE)
         if envs > 1:
             made.env.close()
-            made = make_training_envs(bare, envs)
+            made = make_training_envs(without_penalty, envs)
         self._env = made.env if isinstance(made.env, VecEnv) else DummyVecEnv([cast(Any, lambda: made.env)])
 
     @classmethod
@@ -126,10 +126,10 @@ class PeriodicEvaluation(BaseCallback):
         if statistics is None or not statistics.norm_obs:
             self.model.save(path)
             return
-        held = io.BytesIO()
-        self.model.save(held)
-        held.seek(0)
-        copy: BaseAlgorithm = type(self.model).load(held, device="cpu")
+        saved = io.BytesIO()
+        self.model.save(saved)
+        saved.seek(0)
+        copy: BaseAlgorithm = type(self.model).load(saved, device="cpu")
         fold(copy, statistics)
         copy.save(path)
 

@@ -97,8 +97,8 @@ def train(
     unknown = [name for name in options if name not in known]
     if unknown:
         raise ConfigError(f"unknown training option {unknown[0]!r}; have {', '.join(known)}")
-    asked: dict[str, Any] = {"envs": 1, **options}
-    whole = TrainingOptions(setting=setting, algorithm=algorithm, steps=steps, seed=seed, output=Path(output), **asked)
+    given: dict[str, Any] = {"envs": 1, **options}
+    whole = TrainingOptions(setting=setting, algorithm=algorithm, steps=steps, seed=seed, output=Path(output), **given)
     return train_with(whole, progress=progress)
 
 
@@ -195,7 +195,7 @@ def train_with(options: TrainingOptions, *, progress: bool = True, command: str 
         "steps_taken": model.num_timesteps,
         "simulator": world.driven_in,
         "training_seconds": round(seconds, 1),
-        **callbacks.told(),
+        **callbacks.as_dict(),
         "commit": commit(),
         "sha256": file_hash(options.path),
     }
@@ -226,7 +226,7 @@ class _Callbacks:
         written = None if self.checkpoints is None else self.checkpoints.callback
         return CallbackList([each for each in (self.counts, executed, self.evaluation, written) if each is not None])
 
-    def told(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Any]:
         """Entries of the manifest."""
         return {
             "in_training": dict(self.counts.counts),

@@ -48,7 +48,7 @@ class SensorNoise(gym.ObservationWrapper[Any, Any, Any]):
         super().__init__(env)
         self.model, self._rng, self._ghostly = model, np.random.default_rng(0), np.random.default_rng(1)
         self._past: deque[tuple[int, Any]] = deque()
-        self._shares: FloatArray = np.zeros(0)
+        self._range_shares: FloatArray = np.zeros(0)
         self.sensor_noise: FloatArray = np.zeros(len(STATE))
         self.sensor_delay, self.sensor_range = 0, model.range
         self._spec, self._off, self._dt = ObservationSpec(), np.zeros(0), 0.0
@@ -70,9 +70,9 @@ class SensorNoise(gym.ObservationWrapper[Any, Any, Any]):
         self.sensor_delay = model.delay * frames
         half = {name: 1.0 for name in spec.features}
         half.update({name: (high - low) / 2 for name, (low, high) in spec.ranges.items()})  # type: ignore[union-attr]
-        told = {name: model.sigma.get(name, 0.0) for name in spec.features}
-        self._shares = np.array([told[n] if model.normalised else told[n] / half[n] for n in spec.features])
-        self.sensor_noise = np.array([self._shares[spec.features.index(n)] * half[n] for n in STATE])
+        sigmas = {name: model.sigma.get(name, 0.0) for name in spec.features}
+        self._range_shares = np.array([sigmas[n] if model.normalised else sigmas[n] / half[n] for n in spec.features])
+        self.sensor_noise = np.array([self._range_shares[spec.features.index(n)] * half[n] for n in STATE])
         off = [model.bias.get(name, 0.0) / (1.0 if model.normalised else half[name]) for name in spec.features]
         self._off, self._spec = np.array(off), spec
         if model.ghosts:
@@ -100,7 +100,7 @@ class SensorNoise(gym.ObservationWrapper[Any, Any, Any]):
             shown = self._ghosts.shown_in(self._spec, shown, self._states(shown[:1])[0], now)
         rng, first = self._rng, 0 if model.ego else 1
         there = np.abs(shown).max(axis=1) > 0
-        shares = self._shares
+        shares = self._range_shares
         if model.change is not None and now * self._dt >= model.change[0]:
             shares = shares * model.change[1]
         noise = there[:, None] * shares * self._drawn(rng, shown.shape, first)

@@ -135,8 +135,8 @@ class Skills(gym.Wrapper[Any, Any, Any, Any]):
             if len(rewards) < len(skill.actions) and self.interrupt is not None and self.interrupt(self.env, info):
                 interrupted = True
                 break
-        told = overrides if "shield" in info else None
-        total, about = skill_summary(skill, rewards, self.discount, interrupted, told)
+        reported_overrides = overrides if "shield" in info else None
+        total, about = skill_summary(skill, rewards, self.discount, interrupted, reported_overrides)
         return obs, total, terminated, truncated, {**info, "skill": about}
 
     def action_masks(self) -> BoolArray:

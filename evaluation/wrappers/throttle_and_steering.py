@@ -74,22 +74,22 @@ class ThrottleAndSteering(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs
         rewards, define_spaces = base._rewards, base.define_spaces
 
         def define() -> None:
-            with self._lent():
+            with self._with_controllers():
                 if has_grid(base.config):
                     define_on_grid(base, define_spaces)
                 else:
                     define_spaces()
             observe = base.observation_type.observe
-            base.observation_type.observe = lambda: self._told(observe)
+            base.observation_type.observe = lambda: self._answer(observe)
 
-        base._rewards = lambda action: self._told(self._paid, rewards)
+        base._rewards = lambda action: self._answer(self._paid, rewards)
         base.define_spaces = define
         kind = "DiscreteAction" if "actions_per_axis" in action else "ContinuousAction"
         base.config["action"] = {"type": kind, **action}
         base.reset()
 
-    def _told(self, question: Callable[..., Any], *arguments: Any) -> Any:
-        with self._lent():
+    def _answer(self, question: Callable[..., Any], *arguments: Any) -> Any:
+        with self._with_controllers():
             return question(*arguments)
 
     def _paid(self, rewards: Callable[[int], dict[str, float]]) -> dict[str, float]:
@@ -101,25 +101,25 @@ class ThrottleAndSteering(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs
             return {"high_speed_reward": vehicle.speed_index / (len(self._speeds) - 1), "left_lane_reward": 0.0}
 
     @contextmanager
-    def _lent(self) -> Iterator[None]:
+    def _with_controllers(self) -> Iterator[None]:
         """Give the vehicle the attributes of one with meta-actions for the duration of the context."""
         vehicle, n = self.unwrapped.vehicle, len(self._speeds)  # type: ignore[attr-defined]
         if type(vehicle) not in (Vehicle, BicycleVehicle):
             yield
             return
         share = (vehicle.speed - self._speeds[0]) / (self._speeds[-1] - self._speeds[0])
-        lent: dict[str, Any] = {
+        added: dict[str, Any] = {
             "speed_index": int(np.clip(np.round(share * (n - 1)), 0, n - 1)),
             "index_to_speed": self._speeds.__getitem__,
             "route": None,
             "target_speeds": self._speeds,
             "target_lane_index": vehicle.lane_index,
         }
-        vars(vehicle).update(lent)
+        vars(vehicle).update(added)
         try:
             yield
         finally:
-            for name in lent:
+            for name in added:
                 del vars(vehicle)[name]
 
 

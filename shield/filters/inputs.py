@@ -129,10 +129,10 @@ class InputFilter(InputFrames):
         """Whether `frame` is called between decisions."""
         return not (self._off or self._agent)
 
-    def look(self) -> None:
+    def monitor_last_frame(self) -> None:
         """Run the monitor on the last frame of an episode, after which there is no decision."""
         if not self._off:
-            self.core.look(read(self._reader))
+            self.core.observe(read(self._reader))
 
     def _filter(self, begins: bool) -> tuple[FloatArray, Decision]:
         start, proposal = perf_counter(), self._proposal

@@ -165,10 +165,10 @@ class MetaActionFilter:
         decision = self._rated(self.core.decide(scene, target, self._frames), scene)
         return (None if decision.tier is Tier.PASSED else decision.executed), decision
 
-    def look(self) -> None:
+    def monitor_last_frame(self) -> None:
         """Run the monitor on the last frame of an episode, after which there is no decision."""
         if self._scenes is None and self.config.mode != "none" and not self._alone:
-            self.core.look(read(self.reader), self._frames if self.supervising else None)
+            self.core.observe(read(self.reader), self._frames if self.supervising else None)
 
     def mask(self) -> np.ndarray[Any, Any]:
         """Mask of the actions that verify now; all True if none does."""

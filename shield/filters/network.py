@@ -223,7 +223,7 @@ class NetworkFilter:
             inputs = {"acceleration": brake, "steering": 0.0}
             return inputs, Decision(-1, -1, reason, Tier.EMERGENCY, np.nan, perf_counter() - start)
 
-    def look(self) -> None:
+    def monitor_last_frame(self) -> None:
         """Run the monitor on the last frame of an episode, after which there is no decision."""
         try:
             self._read()

@@ -235,7 +235,7 @@ class DecisionCore(Generic[S]):
     def reset(self) -> None:
         """Clear everything about the episode."""
         self.memory: Memory[S] = Memory()
-        self._looked: tuple[Any, Memory[S]] | None = None
+        self._observed: tuple[Any, Memory[S]] | None = None
 
     @property
     def violations(self) -> int:
@@ -249,23 +249,23 @@ class DecisionCore(Generic[S]):
 
     def decide(self, scene: Any, proposal: Any, procedure: Pipeline[S, Any] | None = None) -> Decision:
         """The next decision; see the function `decide`."""
-        looked, self._looked = self._looked, None
-        if looked is not None and not _same_arrays(looked[0], scene):
-            # The user has changed the scene since `look`: observe it again.
-            self.memory = looked[1]
+        observed_before, self._observed = self._observed, None
+        if observed_before is not None and not _same_arrays(observed_before[0], scene):
+            # The user has changed the scene since `observe`: observe it again.
+            self.memory = observed_before[1]
         decision, self.memory = decide(self.memory, scene, proposal, procedure or self.procedure, self.explain)
         return decision
 
-    def look(self, scene: Any, procedure: Pipeline[S, Any] | None = None) -> None:
+    def observe(self, scene: Any, procedure: Pipeline[S, Any] | None = None) -> None:
         """Observe a scene before a decision about it, such as the last scene of an episode, to count the violations on
         the way there. A later decision about the same scene does not judge them again."""
         if isinstance(scene, Unreadable):
             return
-        before, procedure = self.memory if self._looked is None else self._looked[1], procedure or self.procedure
+        before, procedure = self.memory if self._observed is None else self._observed[1], procedure or self.procedure
         try:
             if scene.finite:
                 _, self.memory = procedure.observe(before, scene)
-                self._looked = scene, before
+                self._observed = scene, before
             else:
                 self.memory = _observe_readable(before, scene, procedure)
         except Exception:

@@ -94,8 +94,10 @@ class MetaActionPipeline:
     ) -> JudgedPlan[int]:
         """SLOWER; the frames continue the stored plan."""
         tier, plan = self.last_resort(now.memory, now.scene, proposal)
-        capped = tier is Tier.STORED_PLAN and not now.memory.watch.violated and now.fail_safe().margin >= -ROUNDING
-        return JudgedPlan(tier, Reason.PRECAUTION if capped else Reason.NO_SAFE_PLAN, plan)
+        stored_verifies = (
+            tier is Tier.STORED_PLAN and not now.memory.watch.violated and now.fail_safe().margin >= -ROUNDING
+        )
+        return JudgedPlan(tier, Reason.PRECAUTION if stored_verifies else Reason.NO_SAFE_PLAN, plan)
 
     def last_resort(
         self, memory: Memory[int], scene: Scene | Unreadable, proposal: MetaActionProposal

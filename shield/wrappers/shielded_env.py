@@ -194,7 +194,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         """
         if self._episode.decisions and not self._summed and self._base.road is self._road:
             before = ViolationCount(self._filter)
-            self._filter.look()
+            self._filter.monitor_last_frame()
             self._episode.add_offences(*before.since(self._filter))
         obs, info = self.env.reset(seed=seed, options=options)
         if self._episode.decisions and not self._summed:
@@ -248,7 +248,7 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         each: Any = terminated
         ended = truncated or (self._base._is_terminated() if isinstance(each, tuple) else terminated)
         if ended:
-            self._filter.look()
+            self._filter.monitor_last_frame()
         offences = before.since(self._filter)
         record = self.last_decision
         assert record is not None

@@ -246,7 +246,7 @@ class Shield(WrappedPolicy):
         same = base is not None and base.road is self._roads[i]
         if same and base.steps >= self._decided[i] + frames_of(base):
             # All frames of the decision are over, and perhaps no later decision runs the monitor on the last one.
-            self._filters[i].look()
+            self._filters[i].monitor_last_frame()
         offences = self._counted[i].since(self._filters[i])
         reported = report(self.decisions[i].with_frames(self.frame_decisions[i]), *offences)
         return {**reported, "verification": self._chosen[i].verification.value}

@@ -60,7 +60,7 @@ class _Driven:
     def stored(self, value: Any) -> None:
         self.core.memory = replace(self.core.memory, stored=value)
 
-    def look(self, scene: Any) -> ObservedScene:
+    def observe(self, scene: Any) -> ObservedScene:
         """Take a scene in."""
         now, self.core.memory = self.core.procedure.observe(self.core.memory, scene)
         return now
@@ -116,7 +116,7 @@ class ContinuousCore(_Driven):
         self.core = DecisionCore(self.inputs)
 
     def judge(self, scene: Any, inputs: np.ndarray, lanes: list[int]) -> Any:
-        return self.inputs.judge(self.look(scene), inputs, lanes)
+        return self.inputs.judge(self.observe(scene), inputs, lanes)
 
 
 class LotCore(_Driven):

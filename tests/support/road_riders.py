@@ -316,7 +316,7 @@ def ride_roads(env_id: str, seed: int, frequency: int = 15) -> Tally:
         *_, terminated, truncated, _ = env.step(action)
         if terminated or truncated or stage.tally.named or not stage.tally.verified:
             break
-    env.filter.look()
+    env.filter.monitor_last_frame()
     stage.settle()
     stage.tally.unforeseen = int(env.filter.by_rule.get(NetworkRule.UNFORESEEN, 0))
     return stage.tally

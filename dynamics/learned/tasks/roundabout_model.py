@@ -200,8 +200,8 @@ def collect_roundabout(
             if v is base.vehicle:
                 ego.append((was, np.append(np.eye(env.action_space.n)[action], leaves), _motion(v, reach)))
             else:
-                told = (leaves,) if len(lane[0]) == len(lane[1]) == 2 else (False, True)
-                others.extend((was, np.array([not flag, flag], float), _motion(v, reach)) for flag in told)
+                flags = (leaves,) if len(lane[0]) == len(lane[1]) == 2 else (False, True)
+                others.extend((was, np.array([not flag, flag], float), _motion(v, reach)) for flag in flags)
         if over:
             driving.begin_anew()
             bound = _destinations(base)

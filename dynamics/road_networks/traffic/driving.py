@@ -196,7 +196,7 @@ def _change_lanes(traffic: NetworkTraffic, i: int, vehicles: int, free: float) -
 def _steer(traffic: NetworkTraffic, work: FloatArray, busy: IntArray, vehicles: int) -> None:
     """Steering of each vehicle towards its target lane [rad]."""
     lanes, f, g, p = traffic.lanes, traffic.f, traffic.g, traffic.p
-    asked, ahead, n = work[1], work[0], 0
+    heading_sine, ahead, n = work[1], work[0], 0
     for i in range(vehicles):
         lane = g[TARGET, i]
         if g[KIND, i] == LINEAR and not g[CRASHED, i]:
@@ -209,10 +209,10 @@ def _steer(traffic: NetworkTraffic, work: FloatArray, busy: IntArray, vehicles: 
             if r == 0.0 and f[HEADING, i] == ahead[n] and f[SPEED, i] >= 0.0:
                 f[STEERING, i] = 0.0
                 continue
-            asked[n] = clip(-KP_LATERAL * r / not_zero(f[SPEED, i]), -1.0, 1.0)
+            heading_sine[n] = clip(-KP_LATERAL * r / not_zero(f[SPEED, i]), -1.0, 1.0)
             busy[n] = i
             n += 1
-    pursue(lanes.loops, f, p, ahead, asked, work[2], busy, n)
+    pursue(lanes.loops, f, p, ahead, heading_sine, work[2], busy, n)
 
 
 @kernel_no_refcount

@@ -188,7 +188,7 @@ class PredictedScene:
         known[0].load(base)
         return known
 
-    def look(self) -> None:
+    def monitor_last_frame(self) -> None:
         """Count the prediction mismatches at the end of an episode, after which no scene is read."""
         if not self.has_prediction:
             return
@@ -342,9 +342,9 @@ class PredictingFilter:
         """Keep in each decision the data for drawings, as with `ShieldConfig.record`."""
         self.config = self.config.replace(record=True)
 
-    def look(self) -> None:
+    def monitor_last_frame(self) -> None:
         """Run the monitor on the last step of an episode, after which there is no decision."""
-        self._scene.look()
+        self._scene.monitor_last_frame()
 
     @property
     def violations(self) -> int:

@@ -109,8 +109,8 @@ def test_buffers_are_rows_of_their_own(tmp_path):
     driven = result.episodes.groupby("mode", sort=False)["overridden"].sum()
     assert driven["full, buffer 1 m"] < driven["full, buffer 6 m"]
     recorded = episode_of(tmp_path / "x.parquet", 5)
-    assert recorded.asked.variant.config.buffer == Buffer(6.0)
-    assert recorded.asked.variant.mode == "full, buffer 6 m"
+    assert recorded.request.variant.config.buffer == Buffer(6.0)
+    assert recorded.request.variant.mode == "full, buffer 6 m"
     with pytest.raises(ConfigError, match="longitudinal"):
         evaluate("faster", "highway-fast", buffer=-1)
     asked = [

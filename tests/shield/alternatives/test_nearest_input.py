@@ -23,7 +23,7 @@ def distance(inputs: np.ndarray, proposal: np.ndarray) -> np.ndarray:
 
 def verified(core: ContinuousCore, scene: Scene, inputs: np.ndarray) -> np.ndarray:
     """Mask of the inputs (n, 2) that verify, each in any lane in which it can stop."""
-    lanes = core.inputs.stop_lanes(core.look(scene))
+    lanes = core.inputs.stop_lanes(core.observe(scene))
     chunks = [inputs[i : i + CHUNK] for i in range(0, len(inputs), CHUNK)]
     return np.concatenate([core.judge(scene, chunk, lanes).margin >= 0 for chunk in chunks])
 

@@ -71,7 +71,7 @@ def drive(env, action, steps, after, collide=False):
         *_, terminated, truncated, _ = env.step(action)
         if terminated or truncated:
             break
-    env.filter.look()
+    env.filter.monitor_last_frame()
 
 
 @pytest.mark.parametrize("length", [1.0, 3.0, 3.4, 5.0])

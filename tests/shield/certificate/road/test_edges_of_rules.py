@@ -53,7 +53,7 @@ def lost_at(speed):
     env.step(np.zeros(2))
     other.step = lambda dt: None
     env.step(np.zeros(2))
-    env.filter.look()
+    env.filter.monitor_last_frame()
     bodies = env.filter.core.memory.verifier.around.bodies
     return np.array([bodies.budget[0], bodies.action[0]])
 

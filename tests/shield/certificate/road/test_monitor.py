@@ -31,7 +31,7 @@ def test_violations_are_cleared_once_a_plan_clears_all_vehicles(core):
     shield = core()
     before, now = scene_of((0, 0, 0, 10), (60, 0, 0, 20)), scene_of((10 * DT, 0, 0, 10), (60 + 20 * DT, 0, 0, 0))
     after(shield, before)
-    assert shield.look(now).memory.watch.violated
+    assert shield.observe(now).memory.watch.violated
     shield.reset()
     assert after(shield, before, now).tier.verified
     assert shield.violations == 1
@@ -44,7 +44,7 @@ def test_a_scene_observed_twice_counts_as_one_frame(core):
     shield = core()
     for k in range(3):
         scene = scene_of((20 * DT * k, 0, 0, 20), (60 + 20 * DT * k, 0, 0, 20))
-        first, again = (shield.look(replace(scene, frame=k)) for _ in range(2))
+        first, again = (shield.observe(replace(scene, frame=k)) for _ in range(2))
         np.testing.assert_array_equal(first.verifier.visible, again.verifier.visible)
     assert shield.violations == 0
 
@@ -77,6 +77,6 @@ def test_a_follower_that_owes_distance_does_not_come_beside_the_ego(r, y, count)
     """From behind an ego at rest to beside it, outside of its buffer: in its own lane, or in the next one."""
     shield = ShieldCore()
     for x in (-7.2, -7.2 + 15 * DT):
-        shield.look(scene_of((0, r, 0, 0), (x, y, 0, 15), lanes=2))
+        shield.observe(scene_of((0, r, 0, 0), (x, y, 0, 15), lanes=2))
     assert shield.violations == count
     assert shield.watch.by_rule == ({RoadRule.DISTANCE: 1} if count else {})

@@ -99,6 +99,6 @@ def test_fewer_frames_at_rest_take_no_plan_away(start, r, psi, v, gap, faster, m
 @settings(deadline=None)
 @given(v=st.floats(0.0, 40.0), speed=st.floats(0.0, 40.0))
 def test_a_lane_change_is_held_back_to_speeds_that_its_first_frame_tries(v, speed):
-    now = ShieldCore().look(scene_of((0.0, 4.0, 0.0, v), lanes=LANES))
+    now = ShieldCore().observe(scene_of((0.0, 4.0, 0.0, v), lanes=LANES))
     tried = v + _accelerations(now, Target(0, speed)) / KP_SPEED
     assert capped_speeds(now, Target(0, speed)) <= set(tried.tolist())

@@ -30,7 +30,7 @@ def inputs(a, wheel):
 def masked(scene):
     core = ShieldCore()
     mask = core.mask(scene)
-    margins = core.meta._verify(core.look(scene), range(5), [scene.target_of(a) for a in range(5)])
+    margins = core.meta._verify(core.observe(scene), range(5), [scene.target_of(a) for a in range(5)])
     worst = min((v.margin for v, m in zip(margins, mask, strict=True) if m), default=-np.inf)
     return Decision(0, 0, Reason.NONE, Tier.PASSED if mask.any() else Tier.EMERGENCY, worst, 0.0)
 

@@ -51,6 +51,8 @@ def test_any_vehicle_may_enter_a_lane_from_which_the_ego_is_not_visible():
     there."""
     for r, comes in ((5.5, False), (7.2, True)):
         core = ShieldCore()
-        core.look(scene_of((0, 5.4, 0, 10), (20, 0, 0, 10)))
+        core.observe(scene_of((0, 5.4, 0, 10), (20, 0, 0, 10)))
         core.stored = 1
-        assert core.look(scene_of((10 * DT, r, 0, 10), (20 + 10 * DT, 0, 0, 10))).verifier.others.comes[1, 0] == comes
+        assert (
+            core.observe(scene_of((10 * DT, r, 0, 10), (20 + 10 * DT, 0, 0, 10))).verifier.others.comes[1, 0] == comes
+        )

@@ -100,4 +100,4 @@ def test_a_lane_is_owned_only_with_a_verified_plan_and_while_the_ego_touches_it(
         core.supervise(scene_of((0, 0, 0, 10), lanes=2))
         core.stored = stored
         scene = scene_of((1, r, 0.1, 10), lanes=2)
-        assert list(core.look(scene).verifier.owned) == owned
+        assert list(core.observe(scene).verifier.owned) == owned

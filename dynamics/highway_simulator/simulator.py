@@ -218,7 +218,7 @@ class Simulator:
         """
         uniforms = np.asarray(uniforms, float)
         if self.worlds.rows.shape[1] <= WORDS:
-            raise ConfigError("scenes of one's own choice need Simulator(..., tape=True)")
+            raise ConfigError("scenes of one's own choice need Simulator(..., replay_draws=True)")
         if uniforms.shape != (len(which), self.draws) or not ((uniforms >= 0) & (uniforms < 1)).all():
             raise ConfigError(f"have numbers from 0 to 1 of shape {(len(which), self.draws)}, not {uniforms.shape}")
         chosen = np.asarray(which, np.int64)

@@ -195,7 +195,7 @@ class CompliantHighwayDriver(IDMVehicle):  # type: ignore[misc]
 
     def _acceleration(self) -> float:
         v = max(self.speed, 0.0)
-        kept = max(self.drawn_acceleration, 0.0) if v < _CRAWL else self.kept
+        kept = max(self.drawn_acceleration, 0.0) if v < _CRAWL else self.drawn_acceleration
         a = min(kept, RULES.acceleration, RULES.power / max(v, 1.0), (RULES.max_speed - v) / self.dt)
         for lane in dict.fromkeys((self.lane_index, self.target_lane_index, self._leaning())):
             first, _ = self.road.neighbour_vehicles(self, lane)

@@ -150,7 +150,7 @@ def _with_own_buffers(search: TrafficSearch) -> TrafficSearch:
         return part._replace(**{name: getattr(part, name).copy() for name in part._fields})
 
     futures, few = search.futures, search.bounds.spare + 2
-    arrays = ("given", "row", "spent", "choices", "reached", "least", "plan", "hint", "sequence")
+    arrays = ("given", "row", "nodes_used", "choices", "reached", "least", "plan", "hint", "sequence")
     return search._replace(
         futures=futures._replace(**{name: getattr(futures, name)[:few].copy() for name in futures._fields}),
         **{name: getattr(search, name).copy() for name in arrays},

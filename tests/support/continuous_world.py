@@ -135,9 +135,9 @@ class Adversary:
         self.mood = str(rng.choice(self.moods)) if mood is None else mood
 
     def wishes(self, world: ContinuousWorld) -> list[tuple[float, int]]:
-        return [self._target_command(world, car) for car in world.cars]
+        return [self._wish(world, car) for car in world.cars]
 
-    def _target_command(self, world: ContinuousWorld, car: Car) -> tuple[float, int]:
+    def _wish(self, world: ContinuousWorld, car: Car) -> tuple[float, int]:
         rng, gap = self.rng, car.s - world.ego[0]
         toward = int(np.sign(world.ego[1] - car.r)) if abs(world.ego[1] - car.r) > 2 else 0
         if self.mood == "brake":

@@ -274,12 +274,12 @@ def test_the_braking_law_continues_after_highway_env_is_read_again():
     env.step(np.array([0.3, 0.0], np.float32))
     for _ in range(25):
         env.step(np.array([np.nan, 0.0], np.float32))
-        before = action_filter._law()
+        before = action_filter._controller_state()
         ended += action_filter._tail.counts[1] == 0
         search, present = action_filter._read(True)
         assert search is action_filter._search
         assert present is action_filter._present
-        assert action_filter._law() == before
+        assert action_filter._controller_state() == before
         assert before[0] == 1
     assert ended > 1
 

@@ -20,9 +20,9 @@ import numpy as np
 import torch
 
 from dynamics.learned.data.collect import collect
+from dynamics.learned.models.bicycle import BicycleModel
 from dynamics.learned.models.linear import ModelConfig
 from dynamics.learned.models.model import rollout_held
-from dynamics.learned.models.oracle import BicycleModel
 from dynamics.learned.tasks import parking_state as parking
 from dynamics.learned.training.distill import DistillConfig, distill
 from dynamics.learned.training.fit import FitConfig, fit

@@ -19,7 +19,7 @@ from dynamics.traffic.assumptions import Assumptions
 from evaluation.falsification.falsify import crash_probability, falsify, falsify_among
 from evaluation.falsification.finds import ANY
 from evaluation.falsification.strata import Strata, stratified
-from evaluation.falsification.subset import subset_simulation
+from evaluation.falsification.subset_simulation import subset_simulation
 from evaluation.measuring.statistics import clopper_pearson
 from evaluation.running.batch_episodes import Many
 from evaluation.settings import Setting, get_setting

@@ -12,8 +12,8 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 
 from dynamics.errors import ConfigError
+from dynamics.learned.models.bicycle import BicycleModel
 from dynamics.learned.models.model import StepModel
-from dynamics.learned.models.oracle import BicycleModel
 from dynamics.learned.tasks.roundabout_model import RoundaboutModel
 from dynamics.learned.tasks.traffic_model import TrafficModel
 from mpc.sampling.categorical import CategoricalCEM, CategoricalSettings

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from dynamics.errors import ConfigError
 from dynamics.highway_simulator.arithmetic import Sums, sums_of_numpy
 from dynamics.highway_simulator.arrays import Machine, Rules, Simulation, StepResults, Work, Worlds
+from dynamics.highway_simulator.batch_arguments import checked_resets, checked_steps, kernel_actions
 from dynamics.highway_simulator.layout import LINEAR, F, G, P
 from dynamics.highway_simulator.live import bodies_of, load, store
 from dynamics.highway_simulator.loops import addresses
 from dynamics.highway_simulator.random import REPLAY_START, WORDS
-from dynamics.highway_simulator.requests import checked_resets, checked_steps, kernel_actions
 from dynamics.highway_simulator.scenario import Scenario, scenario_of, scenario_of_live
 from dynamics.highway_simulator.step_kernels import begin, finish, frame, observe, reset_all, step_all, write_rows
 from dynamics.slices import Slices

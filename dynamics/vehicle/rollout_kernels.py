@@ -290,7 +290,7 @@ def roll_inputs(start: FloatArray, inputs: FloatArray, table: FloatArray, dt: fl
 def roll_stops(
     start: FloatArray, stops: FloatArray, hold: int, table: FloatArray, dt: float, paths: FloatArray
 ) -> None:
-    """Roll out stops (n, 3) of `dynamics.vehicle.held_rollouts` from states (n, 4), with inputs constant for `hold`
+    """Roll out stops (n, 3) of `dynamics.vehicle.braking_rollouts` from states (n, 4), with inputs constant for `hold`
     frames; `paths` (n, frames, 4), states after each frame, written."""
     for i in range(start.shape[0]):
         s, r, psi, v = start[i, 0], start[i, 1], start[i, 2], start[i, 3]

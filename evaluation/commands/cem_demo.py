@@ -12,8 +12,8 @@ import imageio.v3 as iio
 import numpy as np
 from PIL import Image, ImageDraw
 
+from dynamics.learned.models.bicycle import BicycleModel
 from dynamics.learned.models.model import rollout
-from dynamics.learned.models.oracle import BicycleModel
 from dynamics.learned.tasks import parking_state as parking
 from evaluation.running.parking_planner import TrainedParking, train
 from evaluation.settings import get_setting

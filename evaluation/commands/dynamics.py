@@ -112,7 +112,7 @@ def _row(timed: TimedRound, last: TimedRound | None) -> list[str]:
 
 def _fit_driving(setting: str, seed: int, transitions: int | None, output: Path) -> None:
     """Train the models of a setting, and print their open-loop errors [m] in new driving."""
-    from dynamics.learned.models.oracle import BicycleModel
+    from dynamics.learned.models.bicycle import BicycleModel
     from evaluation.running.driving_model import TRANSITIONS, measure, train_driving
     from mpc.mpc_policy import MPCPolicy
 

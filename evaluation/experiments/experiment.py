@@ -11,7 +11,7 @@ from typing import Any
 import pandas as pd
 
 from dynamics.deprecation import accept_former_fields, with_present_names
-from evaluation.experiments.inputs import as_file, name_of, origin_of, setting_given
+from evaluation.experiments.conversion import as_file, name_of, origin_of, setting_given
 from evaluation.experiments.result import Result
 from evaluation.names import ENGINES, SIMULATORS, check_name, check_sensor, read_toml
 from evaluation.report.table import finished

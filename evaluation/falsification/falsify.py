@@ -17,7 +17,7 @@ from dynamics.road_networks.episodes.scenario import on_roads
 from dynamics.state import FloatArray, IntArray
 from evaluation.falsification.compliant_traffic import CompliantEpisode, drive_compliant_many
 from evaluation.falsification.finds import Find, made_with
-from evaluation.falsification.subset import MOST_SHARE, Subset, subset_simulation
+from evaluation.falsification.subset_simulation import MOST_SHARE, Subset, subset_simulation
 from evaluation.names import ANY, TRAFFIC
 from evaluation.running.batch_episodes import BatchResult, Many
 from evaluation.settings import Setting

@@ -17,7 +17,7 @@ from scipy.special import ndtr
 from dynamics.state import FloatArray
 from evaluation.falsification.finds import ANY, Find, made_with
 from evaluation.falsification.road_episode import RoadEpisode, RoadNumbers, drive_numbers
-from evaluation.falsification.subset import MOST_SHARE, subset_simulation
+from evaluation.falsification.subset_simulation import MOST_SHARE, subset_simulation
 from evaluation.settings import Setting
 from shield.certificate.network.others import has_crossings
 from shield.config import ShieldConfig

@@ -19,10 +19,10 @@ import pandas as pd
 from dynamics.errors import ConfigError
 from dynamics.learned.data.collect import PredictingPolicy, collect
 from dynamics.learned.data.transitions import Transitions
+from dynamics.learned.models.bicycle import BicycleModel
 from dynamics.learned.models.files import load_model
 from dynamics.learned.models.linear import LinearStructuredModel
 from dynamics.learned.models.model import DynamicsModel
-from dynamics.learned.models.oracle import BicycleModel
 from dynamics.learned.tasks import parking_state as parking
 from dynamics.learned.training.distill import distill
 from dynamics.learned.training.fit import Fit, fit

@@ -252,7 +252,7 @@ class CEM(SamplingPlanner):
 
     Examples
     --------
-    >>> from dynamics.learned.models.oracle import BicycleModel
+    >>> from dynamics.learned.models.bicycle import BicycleModel
     >>> planner = CEM(BicycleModel(), PlannerSettings.multistart())
     >>> start = np.array([0.0, 0, 0, 0, 1, 0])
     >>> plan = planner.plan(start, lambda t: np.hypot(t.states[..., -1, 0] - 20, t.states[..., -1, 1] - 3))

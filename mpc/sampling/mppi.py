@@ -50,7 +50,7 @@ class MPPI(SamplingPlanner):
 
     Examples
     --------
-    >>> from dynamics.learned.models.oracle import BicycleModel
+    >>> from dynamics.learned.models.bicycle import BicycleModel
     >>> planner = MPPI(BicycleModel(), temperature=0.1)
     >>> start = np.array([0.0, 0, 0, 0, 1, 0])
     >>> plan = planner.plan(start, lambda t: np.abs(t.states[..., -1, 0] - 20))

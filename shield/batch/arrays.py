@@ -20,8 +20,8 @@ from dynamics.traffic.rules_of_the_road import RoadRule
 from dynamics.traffic.tables import bodies_of, motion_of
 from dynamics.vehicle.bicycle import MAX_SPEED
 from shield.batch.parameters import NO_INDEX, BatchParameters
+from shield.certificate.road.clauses.clause_inputs import LaneState
 from shield.certificate.road.clauses.footprint import Footprint
-from shield.certificate.road.clauses.inputs import LaneState
 from shield.certificate.road.clauses.others import RoadVehicles, vehicles_from
 from shield.certificate.road.clauses.parameters import settings_from
 from shield.certificate.road.clauses.workspace import (

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.highway_simulator.arrays import Worlds
+from dynamics.highway_simulator.batch_arguments import checked_steps
 from dynamics.highway_simulator.env import CompiledHighwayEnv
-from dynamics.highway_simulator.requests import checked_steps
 from dynamics.highway_simulator.simulator import Simulator
 from dynamics.highway_simulator.step_kernels import write_rows
 from dynamics.slices import Slices

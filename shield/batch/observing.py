@@ -21,9 +21,9 @@ from dynamics.vehicle.controllers import KP_SPEED
 from shield.batch.arrays import BatchMemory, BatchPointers, BatchWorkspace, scene_of
 from shield.batch.parameters import NO_INDEX, BatchParameters
 from shield.batch.verifying import frames_of, verify
+from shield.certificate.road.clauses.clause_inputs import EarlierVehicles, EgoArrays, LaneDistances, LaneState
 from shield.certificate.road.clauses.followers import mark_relied_on, update_lanes
 from shield.certificate.road.clauses.footprint import Footprint
-from shield.certificate.road.clauses.inputs import EarlierVehicles, EgoArrays, LaneDistances, LaneState
 from shield.certificate.road.clauses.others import TOUCH, VehicleBuffers, vehicles_from
 from shield.certificate.road.clauses.scene import SceneBuffers, prepare_scene
 from shield.certificate.road.monitor import mark_touching, update_obligations

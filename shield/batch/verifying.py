@@ -12,8 +12,8 @@ from dynamics.vehicle.rollout_kernels import StopTarget, roll_frame, slip_at
 from shield.batch.arrays import BatchPointers
 from shield.batch.parameters import NO_INDEX, BatchParameters
 from shield.certificate.road.clauses.all_clauses import SEPARATION_BINDS, evaluate_path
+from shield.certificate.road.clauses.clause_inputs import PlannedPath
 from shield.certificate.road.clauses.footprint import across_of, along_of
-from shield.certificate.road.clauses.inputs import PlannedPath
 from shield.certificate.road.clauses.workspace import ClauseScene, ClauseWorkspace
 
 __all__ = ["frames_of", "verify"]

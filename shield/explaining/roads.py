@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.highway_simulator.layout import HEADING, SPEED, X, Y
-from dynamics.road_networks.simulation.ego_alone import EgoManoeuvre, EgoOnNetwork
+from dynamics.road_networks.simulation.ego_manoeuvres import EgoManoeuvre, EgoOnNetwork
 from dynamics.road_networks.simulation.frame_kernels import new_work
 from shield.certificate.network.choice import JudgedCandidate, choose
 from shield.certificate.network.workspace import EgoExtents, NetworkContext, NetworkVehicles, empty_rollout

@@ -13,7 +13,7 @@ import numpy as np
 from dynamics.highway_simulator.layout import CRASHED, IMPACTED, LANE, SPEED, TARGET, TARGET_SPEED
 from dynamics.road_networks.geometry.layout import COUNT, ROAD
 from dynamics.road_networks.geometry.network import index_of
-from dynamics.road_networks.simulation.ego_alone import EgoManoeuvre, EgoOnNetwork, read_ego_on_network
+from dynamics.road_networks.simulation.ego_manoeuvres import EgoManoeuvre, EgoOnNetwork, read_ego_on_network
 from dynamics.road_networks.simulation.frame_kernels import command, on_way
 from dynamics.road_networks.simulation.live import length_of_route, load_ego
 from shield.certificate.network.choice import JudgedCandidate, choose, try_candidate

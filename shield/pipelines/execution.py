@@ -16,8 +16,8 @@ import numpy as np
 from dynamics.scenes.scene import Scene
 from dynamics.state import FloatArray, RoadState, State
 from dynamics.vehicle.actuators import Actuators
+from dynamics.vehicle.braking_rollouts import BrakingRollouts
 from dynamics.vehicle.curved_bicycle import steer
-from dynamics.vehicle.held_rollouts import BrakingRollouts
 from dynamics.vehicle.rollouts import Rollouts
 from shield.config import ShieldConfig
 

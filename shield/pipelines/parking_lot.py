@@ -22,7 +22,7 @@ from dynamics.scenes.rectangles import gaps
 from dynamics.state import FloatArray, State
 from dynamics.vehicle.actuators import Actuators
 from dynamics.vehicle.bicycle import MAX_SPEED
-from dynamics.vehicle.wheel_held_stops import stops
+from dynamics.vehicle.fixed_wheel_stops import stops
 from shield.alternatives.nearest_input import JudgedInputs, NearestInputSearch
 from shield.certificate.road.memory import Memory
 from shield.certificate.road.monitor import ParkingMonitor

@@ -9,7 +9,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from dynamics.errors import ConfigError, DataError
-from dynamics.learned.models.oracle import BicycleModel
+from dynamics.learned.models.bicycle import BicycleModel
 from dynamics.learned.tasks import parking_state as parking
 from evaluation.settings import get_setting
 from mpc.cem_policy import CEMPolicy

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from dynamics.learned.data.transitions import Transitions
-from dynamics.learned.models.oracle import BicycleModel
+from dynamics.learned.models.bicycle import BicycleModel
 
 
 def driving(episodes: int = 12, steps: int = 30, seed: int = 0) -> Transitions:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from dynamics.errors import ConfigError, SceneError
 from dynamics.highway_simulator.arithmetic import Sums, sums_of_numpy
 from dynamics.highway_simulator.arrays import Machine
+from dynamics.highway_simulator.batch_arguments import checked_resets, checked_steps, kernel_actions
 from dynamics.highway_simulator.loops import addresses
 from dynamics.highway_simulator.random import WORDS, from_generator
-from dynamics.highway_simulator.requests import checked_resets, checked_steps, kernel_actions
 from dynamics.road_networks.episodes.scenario import RoadScenario, road_scenario_of
 from dynamics.road_networks.episodes.step_kernels import Episodes, EpisodeWork, RoadStepResults, reset_all, step_all
 from dynamics.road_networks.geometry.layout import COUNT

@@ -15,7 +15,7 @@ from dynamics.highway_simulator.layout import LANE_LENGTH, LANE_LIMIT
 from dynamics.road_networks.geometry.lanes import NetworkLanes, local, place
 from dynamics.road_networks.geometry.layout import ROAD
 from dynamics.road_networks.reachable.continuations import RECENTRED_DISTANCE, TURN_IN_DISTANCE
-from dynamics.road_networks.reachable.standing import ALIGNED, NetworkVehicle, add_present_strips
+from dynamics.road_networks.reachable.present_lanes import ALIGNED, NetworkVehicle, add_present_strips
 from dynamics.road_networks.reachable.strips import (
     BODY_HALF,
     CENTRED_FROM,

@@ -49,8 +49,8 @@ from dynamics.road_networks.geometry.layout import (
 )
 from dynamics.road_networks.geometry.network import Network
 from dynamics.road_networks.geometry.routes import NetworkTraffic, follow_road
+from dynamics.road_networks.traffic.constant_inputs import slipping_bicycle
 from dynamics.road_networks.traffic.driving import act
-from dynamics.road_networks.traffic.inputs import slipping_bicycle
 from dynamics.road_networks.traffic.regulation import INSTANTS, TrafficRegulation, regulate, remove_leaving
 from dynamics.state import FloatArray, IntArray
 

@@ -49,7 +49,7 @@ from dynamics.road_networks.geometry.layout import (
     YIELDS,
 )
 from dynamics.road_networks.geometry.routes import NetworkTraffic
-from dynamics.road_networks.traffic.inputs import predict_with_constant_inputs
+from dynamics.road_networks.traffic.constant_inputs import predict_with_constant_inputs
 from dynamics.road_networks.traffic.priority_road import HORIZON, REACH
 from dynamics.state import FloatArray, IntArray
 

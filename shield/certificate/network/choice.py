@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
-from dynamics.road_networks.simulation.ego_alone import EgoManoeuvre, EgoOnNetwork, simulate_manoeuvre
+from dynamics.road_networks.simulation.ego_manoeuvres import EgoManoeuvre, EgoOnNetwork, simulate_manoeuvre
 from dynamics.state import FloatArray
 from shield.certificate.network.clearance import (
     AFTER_REACTION,

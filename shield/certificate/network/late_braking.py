@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dynamics.road_networks.simulation.ego_alone import EgoManoeuvre, EgoOnNetwork
+from dynamics.road_networks.simulation.ego_manoeuvres import EgoManoeuvre, EgoOnNetwork
 from dynamics.state import FloatArray
 from shield.certificate.network.choice import try_candidate, try_with_braking
 from shield.certificate.network.clearance import CLEAR, NEW_PATH_MARGIN

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from dynamics.road_networks.simulation.ego_alone import EgoManoeuvre
+from dynamics.road_networks.simulation.ego_manoeuvres import EgoManoeuvre
 from dynamics.vehicle.bicycle import MAX_SPEED
 from shield.decision import Tier
 

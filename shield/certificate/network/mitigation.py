@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynamics.road_networks.simulation.ego_alone import EgoOnNetwork
+from dynamics.road_networks.simulation.ego_manoeuvres import EgoOnNetwork
 from dynamics.state import FloatArray
 from shield.certificate.network.choice import JudgedCandidate, choose, try_candidate
 from shield.certificate.network.clearance import CLEAR

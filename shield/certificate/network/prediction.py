@@ -26,7 +26,7 @@ from dynamics.road_networks.reachable.strips import (
     LaneContinuations,
     empty_strips,
 )
-from dynamics.road_networks.simulation.ego_alone import EgoOnNetwork
+from dynamics.road_networks.simulation.ego_manoeuvres import EgoOnNetwork
 from dynamics.state import FloatArray, IntArray
 from shield.certificate.network.monitor import NetworkObservation
 from shield.certificate.network.next_frame import collisions

@@ -16,8 +16,8 @@ from dynamics.traffic.occupancy import OtherVehicles
 from dynamics.traffic.tables import VehicleTables
 from dynamics.vehicle.controllers import KP_SPEED
 from dynamics.vehicle.rollouts import Rollouts
+from shield.certificate.road.clauses.clause_inputs import LaneDistances, LaneState
 from shield.certificate.road.clauses.followers import updated_lanes
-from shield.certificate.road.clauses.inputs import LaneDistances, LaneState
 from shield.certificate.road.clauses.others import TOUCH
 from shield.certificate.road.manoeuvres import Manoeuvres, brake_candidates
 from shield.certificate.road.monitor import ParkingMonitor, RoadMonitor

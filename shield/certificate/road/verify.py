@@ -42,10 +42,10 @@ from shield.certificate.road.clauses.all_clauses import (
     SceneArrays,
     evaluate_paths,
 )
+from shield.certificate.road.clauses.clause_inputs import EarlierVehicles, EgoArrays, LaneState
 from shield.certificate.road.clauses.edge import lanes_touched
 from shield.certificate.road.clauses.followers import in_reach
 from shield.certificate.road.clauses.footprint import Footprint
-from shield.certificate.road.clauses.inputs import EarlierVehicles, EgoArrays, LaneState
 from shield.certificate.road.clauses.others import RoadVehicles, empty_vehicles, vehicles_from
 from shield.certificate.road.clauses.parameters import settings_of
 from shield.certificate.road.clauses.scene import SceneBuffers, find_relied_on, prepare_scene

@@ -17,7 +17,7 @@ from dynamics.road_networks.simulation.simulator import NetworkSimulator
 from dynamics.scenes.parking_lot import is_parking_lot
 from dynamics.state import FloatArray
 from shield.batch.codes import TIERS
-from shield.certificate.simulated.inputs import BackupSequence, advance_backup, decide_inputs, empty_tail
+from shield.certificate.simulated.input_verification import BackupSequence, advance_backup, decide_inputs, empty_tail
 from shield.certificate.simulated.workspace import TrafficSearch
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Tier

@@ -20,7 +20,7 @@ from evaluation.falsification.finds import replay as drive_again
 from evaluation.falsification.network_adversaries import install_drivers
 from evaluation.falsification.road_episode import SCENES, RoadNumbers, Script, drive_numbers
 from evaluation.falsification.road_search import LEVEL, has_network, search_roads
-from evaluation.falsification.subset import subset_simulation
+from evaluation.falsification.subset_simulation import subset_simulation
 from evaluation.running.batch_episodes import Many
 from evaluation.settings import Setting, get_setting
 from shield import ConfigError, ShieldConfig, ShieldedEnv, Tier

@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 
 import evaluation.running.driving_model as driving
 from dynamics.errors import ConfigError, DataError, ModelError
+from dynamics.learned.models.bicycle import BicycleModel
 from dynamics.learned.models.casadi_steps import LearnedStep
 from dynamics.learned.models.files import load_model
-from dynamics.learned.models.oracle import BicycleModel
 from dynamics.learned.tasks.driving_state import RandomDriver, state
 from dynamics.vehicle.actuators import Actuators
 from evaluation.commands.cli import app

@@ -95,7 +95,7 @@ def test_names_are_policies_of_the_evaluation():
 
 
 def test_the_bundled_macro_steps_are_close_to_the_true_model():
-    from dynamics.learned.models.oracle import BicycleModel
+    from dynamics.learned.models.bicycle import BicycleModel
 
     fast, generator = load()[0], np.random.default_rng(0)
     heading, speed = generator.uniform(-np.pi, np.pi, 200), generator.uniform(-5, 5, 200)

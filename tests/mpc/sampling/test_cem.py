@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.errors import ConfigError, ModelError
-from dynamics.learned.models.oracle import BicycleModel
+from dynamics.learned.models.bicycle import BicycleModel
 from mpc.sampling.categorical import CategoricalCEM, CategoricalSettings
 from mpc.sampling.cem import CEM
 from mpc.sampling.mppi import MPPI

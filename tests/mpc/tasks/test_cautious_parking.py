@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.errors import ConfigError
-from dynamics.learned.models.oracle import BicycleModel
+from dynamics.learned.models.bicycle import BicycleModel
 from mpc.cem_policy import CEMPolicy
 from mpc.sampling.mppi import MPPI
 from mpc.sampling.plan import evaluate

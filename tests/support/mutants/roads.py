@@ -84,7 +84,7 @@ ROADS = (
     ),
     off(
         "a vehicle off the end of a lane that leads nowhere has left it",
-        "dynamics.road_networks.reachable.standing",
+        "dynamics.road_networks.reachable.present_lanes",
         "_pose",
         "_ <= _ or _(_, _)",
         "{1} <= {2}",
@@ -313,7 +313,7 @@ ROADS = (
     ),
     off(
         "it turns aside into a lane that ends",
-        "dynamics.road_networks.simulation.ego_alone",
+        "dynamics.road_networks.simulation.ego_manoeuvres",
         "simulate_manoeuvre",
         "0 <= _ < _[_, _] and _[_, _] == _[_[_, 0], _] and (_[_] < 0)",
         "0 <= {1} < {2}[{3}, {4}] and {2}[{3}, {7}] == {2}[{9}[{10}, 0], {7}]",
@@ -430,7 +430,7 @@ ROADS = (
     ),
     off(
         "towards the centre of an arc a body takes no more of its length",
-        "dynamics.road_networks.reachable.standing",
+        "dynamics.road_networks.reachable.present_lanes",
         "_pose",
         "max(_ - _, _ - _, _(_, _, _, _))",
         "{5}({6}, {7}, {8}, {9})",

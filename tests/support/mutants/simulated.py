@@ -10,7 +10,10 @@ _TESTS = "tests/shield/certificate/simulated/test_meta_actions.py"
 _NETWORKS = "tests/shield/filters/simulated/test_predicted_scene.py"
 _TRAFFIC = "tests/dynamics/road_networks/simulation/test_simulator.py"
 _TEAM = "tests/shield/filters/simulated/test_multi_agent.py"
-_INPUTS, _HELD = "tests/shield/filters/simulated/test_inputs.py", "tests/dynamics/road_networks/traffic/test_inputs.py"
+_INPUTS, _CONSTANT_INPUTS = (
+    "tests/shield/filters/simulated/test_inputs.py",
+    "tests/dynamics/road_networks/traffic/test_constant_inputs.py",
+)
 
 SIMULATED = (
     off(
@@ -275,7 +278,7 @@ SIMULATED = (
     ),
     off(
         "a frame of an input may be inside the buffer",
-        f"{EXACT}.inputs",
+        f"{EXACT}.input_verification",
         "_after",
         "_(_, 0, _, _, _)",
         "1.0",
@@ -283,7 +286,7 @@ SIMULATED = (
     ),
     off(
         "an input may leave the road",
-        f"{EXACT}.inputs",
+        f"{EXACT}.input_verification",
         "_after",
         "_[0, _, _] != 0 or not _",
         "{1}[0, {2}, {3}] != 0",
@@ -291,7 +294,7 @@ SIMULATED = (
     ),
     off(
         "whether the law can go on does not matter",
-        f"{EXACT}.inputs",
+        f"{EXACT}.input_verification",
         "_goes_on",
         "if _ >= 0:",
         "return abs({1})",
@@ -327,7 +330,7 @@ SIMULATED = (
         "regulate",
         "_[_, _] == _",
         "False",
-        _HELD,
+        _CONSTANT_INPUTS,
         which=2,
     ),
     off(

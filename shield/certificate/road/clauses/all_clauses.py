@@ -15,6 +15,7 @@ from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.state import Vehicle as Columns
 from dynamics.traffic.occupancy_kernels import front_of, rear_of
 from dynamics.traffic.tables import VehicleBodies, VehicleTables, bodies_in, motion_of
+from shield.certificate.road.clauses.clause_inputs import EgoArrays, LaneState, PlannedPath
 from shield.certificate.road.clauses.cut_in import (
     CutInBounds,
     any_cut_in,
@@ -25,7 +26,6 @@ from shield.certificate.road.clauses.cut_in import (
 from shield.certificate.road.clauses.entering import LateralExtents, joins, lateral_extents, leaves_sight
 from shield.certificate.road.clauses.followers import find_unobligated
 from shield.certificate.road.clauses.footprint import Footprint
-from shield.certificate.road.clauses.inputs import EgoArrays, LaneState, PlannedPath
 from shield.certificate.road.clauses.others import VehicleBuffers, vehicles_from
 from shield.certificate.road.clauses.parameters import follower_response_of, settings_from
 from shield.certificate.road.clauses.separation import UnobligatedVehicle, extents, separation, turns

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.vehicle.controllers import KP_HEADING, KP_LATERAL
-from shield.certificate.road.clauses.inputs import LaneState
+from shield.certificate.road.clauses.clause_inputs import LaneState
 from shield.certificate.road.clauses.others import RoadVehicles
 
 __all__ = ["LateralExtents", "is_beside", "joins", "lateral_extents", "leaves_sight", "mark_entrants", "neighbours"]

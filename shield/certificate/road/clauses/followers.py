@@ -13,9 +13,9 @@ from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
 from dynamics.traffic.mobil import LaneSight, TrafficInLanes, lane_change_incentives
 from dynamics.traffic.rules_of_the_road import EgoFootprint, gap_between
 from dynamics.traffic.tables import VehicleBodies
+from shield.certificate.road.clauses.clause_inputs import EarlierVehicles, LaneDistances, LaneState, PlannedPath
 from shield.certificate.road.clauses.entering import mark_entrants, neighbours
 from shield.certificate.road.clauses.footprint import Footprint, across_of, reach_across, reach_along
-from shield.certificate.road.clauses.inputs import EarlierVehicles, LaneDistances, LaneState, PlannedPath
 from shield.certificate.road.clauses.others import TOUCH, RoadVehicles
 
 __all__ = [

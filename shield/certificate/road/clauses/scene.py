@@ -8,10 +8,10 @@ from dynamics.compiled import kernel_inline, row_as_tuple
 from dynamics.state import BoolArray, FloatArray
 from dynamics.traffic.rules_of_the_road import EgoFootprint
 from dynamics.traffic.tables import VehicleTables, bodies_in
+from shield.certificate.road.clauses.clause_inputs import EarlierVehicles, EgoArrays, LaneState
 from shield.certificate.road.clauses.cut_in import find_cut_ins
 from shield.certificate.road.clauses.followers import EgoInScene, fill_vehicles, mark_relied_on
 from shield.certificate.road.clauses.footprint import Footprint
-from shield.certificate.road.clauses.inputs import EarlierVehicles, EgoArrays, LaneState
 from shield.certificate.road.clauses.others import VehicleBuffers, vehicles_from
 from shield.certificate.road.clauses.parameters import settings_from, visibility_of
 

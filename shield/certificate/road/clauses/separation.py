@@ -10,8 +10,8 @@ import numpy as np
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.state import FloatArray
+from shield.certificate.road.clauses.clause_inputs import PlannedPath
 from shield.certificate.road.clauses.footprint import Footprint
-from shield.certificate.road.clauses.inputs import PlannedPath
 
 __all__ = ["FollowerResponse", "PathExtents", "UnobligatedVehicle", "coming_frame", "extents", "separation", "turns"]
 

@@ -10,9 +10,9 @@ import numpy as np
 from dynamics.compiled import compiled
 from dynamics.state import FloatArray, IntArray
 from dynamics.traffic.tables import Bodies, Motion
+from shield.certificate.road.clauses.clause_inputs import LaneState
 from shield.certificate.road.clauses.cut_in import CUT_IN_DURATION
 from shield.certificate.road.clauses.footprint import Footprint
-from shield.certificate.road.clauses.inputs import LaneState
 from shield.certificate.road.clauses.others import RoadVehicles
 from shield.certificate.road.clauses.parameters import ClauseSettings
 

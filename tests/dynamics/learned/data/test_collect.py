@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from dynamics.errors import ConfigError, DataError
 from dynamics.learned.data.collect import RESET_SEEDS, RepeatedRandomPolicy, collect
-from dynamics.learned.models.oracle import BicycleModel
+from dynamics.learned.models.bicycle import BicycleModel
 from dynamics.learned.tasks import parking_state as parking
 
 

@@ -9,8 +9,8 @@ from gymnasium import spaces
 
 from dynamics.errors import ConfigError
 from dynamics.learned.data.collect import RepeatedRandomPolicy
+from dynamics.learned.models.bicycle import BicycleModel
 from dynamics.learned.models.linear import LinearStructuredModel, ModelConfig
-from dynamics.learned.models.oracle import BicycleModel
 from dynamics.learned.training.fit import FitConfig
 from dynamics.learned.training.on_policy_rounds import RoundsConfig, rounds
 

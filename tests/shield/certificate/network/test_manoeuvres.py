@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dynamics.road_networks.simulation.ego_alone import EgoManoeuvre
+from dynamics.road_networks.simulation.ego_manoeuvres import EgoManoeuvre
 from shield.certificate.network.manoeuvres import (
     COMMITTED,
     TargetCommand,

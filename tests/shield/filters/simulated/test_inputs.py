@@ -16,7 +16,7 @@ from policies import Always
 from slowly import later
 
 from shield import ConfigError, Reason, Shield, ShieldConfig, ShieldedEnv
-from shield.certificate.simulated.inputs import advance_backup
+from shield.certificate.simulated.input_verification import advance_backup
 from shield.decision import Tier
 
 EXACT = ShieldConfig.simulated_traffic()

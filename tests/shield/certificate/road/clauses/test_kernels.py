@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dynamics.compiled import compiled
+from shield.certificate.road.clauses.clause_inputs import LaneDistances, LaneState, PlannedPath
 from shield.certificate.road.clauses.edge import lanes_touched, verdicts
 from shield.certificate.road.clauses.entering import (
     LateralExtents,
@@ -23,7 +24,6 @@ from shield.certificate.road.clauses.entering import (
 )
 from shield.certificate.road.clauses.followers import updated_lanes
 from shield.certificate.road.clauses.footprint import Footprint
-from shield.certificate.road.clauses.inputs import LaneDistances, LaneState, PlannedPath
 from shield.certificate.road.clauses.others import RoadVehicles
 from shield.certificate.road.clauses.separation import (
     FollowerResponse,

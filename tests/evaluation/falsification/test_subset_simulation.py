@@ -17,7 +17,7 @@ from evaluation.falsification.compliant_traffic import drive_compliant
 from evaluation.falsification.falsify import crash_probability, falsify, falsify_among
 from evaluation.falsification.finds import ANY, Find, replay
 from evaluation.falsification.strata import Strata, stratified
-from evaluation.falsification.subset import subset_simulation
+from evaluation.falsification.subset_simulation import subset_simulation
 from evaluation.running.batch_episodes import Many
 from evaluation.settings import Setting, get_setting
 from shield import ConfigError, ShieldConfig

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.state import State
-from dynamics.vehicle.wheel_held_stops import stops
+from dynamics.vehicle.fixed_wheel_stops import stops
 
 STATE = st.tuples(st.floats(-30, 30), st.floats(-20, 20), st.floats(-4, 4), st.floats(-15, 15)).map(np.array)
 INPUTS = st.lists(st.tuples(st.floats(-10, 10), st.floats(-np.pi / 4, np.pi / 4)), min_size=1, max_size=4).map(np.array)

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynamics.errors import ModelError
-from dynamics.learned.models.oracle import BicycleModel
+from dynamics.learned.models.bicycle import BicycleModel
 from evaluation.settings import get_setting
 
 numbers = st.floats(-1.2, 1.2)

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dynamics.vehicle.bicycle import step
+from dynamics.vehicle.braking_rollouts import BrakingRollouts
 from dynamics.vehicle.controllers import steering_control
-from dynamics.vehicle.held_rollouts import BrakingRollouts
 
 states = st.tuples(st.floats(-2, 6), st.floats(-0.3, 0.3), st.floats(0, 35)).map(
     lambda x: np.array([10.0, x[0], x[1], x[2]])

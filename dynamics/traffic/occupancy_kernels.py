@@ -146,8 +146,8 @@ def update_turning_allowances(
         for k in range(recent.shape[1] - 1):
             within += before[i, k]
             recent[i, k + 1] = before[i, k]
-        if within > swing * motion.action_per_second:
-            actions[i] = min(actions[i], swing * motion.action_per_second - within)
+        if within > swing * motion.action_in_one_second:
+            actions[i] = min(actions[i], swing * motion.action_in_one_second - within)
 
 
 @kernel_inline
@@ -238,7 +238,7 @@ def rear_of(j: int, vehicles: VehicleBodies, stretch: FloatArray, motion: Motion
     for k in range(frames):
         # What turning may take in the second that ends with this frame, and in the seconds after it.
         if k % second == 0:
-            recent_action += swing * motion.action_per_second
+            recent_action += swing * motion.action_in_one_second
             for i in range(second - 1):
                 recent_action -= recent[j, i]
         else:
@@ -254,7 +254,7 @@ def rear_of(j: int, vehicles: VehicleBodies, stretch: FloatArray, motion: Motion
         else:
             if slow >= motion.slow:
                 way, time = way + slow * dt, time + dt
-                # `_lost` written out: here the speed is at least `Motion.slow`, and `action_per_second` bounds the
+                # `_lost` written out: here the speed is at least `Motion.slow`, and `action_in_one_second` bounds the
                 # action too.
                 gone = max(budget, 0.0) + motion.loss_back * time
                 lost = min(gone, min(max(action, 0.0) + motion.action_back * time, max(recent_action, 0.0)) / slow)
@@ -275,7 +275,7 @@ def least_next_position(j: int, states: FloatArray, stretch: FloatArray, motion:
     """Least s of the centre of vehicle `j` after one frame [m], by the bounds of `rear_of`."""
     v, floor, recent, along, back = states[j, 3], bodies.floor[j], bodies.recent, 0.0, 0.0
     if v >= motion.slow:
-        recent_action = bodies.swing[j] * motion.action_per_second
+        recent_action = bodies.swing[j] * motion.action_in_one_second
         for i in range(recent.shape[1] - 1):
             recent_action -= recent[j, i]
         lost = min(_lost(bodies.budget[j], bodies.action[j], v, motion.dt, motion), max(recent_action, 0.0) / v)

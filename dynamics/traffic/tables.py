@@ -61,7 +61,7 @@ class Motion(NamedTuple):
     slow : speed below which no progress is assumed [m/s].
     loss, action : what turning may cost a car: distance [m], and speed times distance [m^2/s].
     loss_back, action_back : rates at which these recover [m/s], [m^2/s^2].
-    action_per_second : greatest `action` within a second [m^2/s].
+    action_in_one_second : greatest `action` within a second [m^2/s].
     comfortable_braking : braking that needs no reason [m/s^2].
     reversing : greatest speed backwards [m/s].
     queue, queue_speed : a vehicle reverses only behind one that is nearer than this, centre to centre [m], and slower
@@ -80,7 +80,7 @@ class Motion(NamedTuple):
     action: float
     loss_back: float
     action_back: float
-    action_per_second: float
+    action_in_one_second: float
     comfortable_braking: float
     reversing: float
     queue: float

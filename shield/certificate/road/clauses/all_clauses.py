@@ -139,7 +139,7 @@ def _lateral(plan: PlannedPath, scene: ClauseScene, q: int, hold: int, workspace
     )
     others, centers, x = scene.around.others, scene.ground.centers, scene.settings
     lane, fail, r, path, widths = plan.lane, plan.fail, scene.state[1], plan.path, scene.around.rows[:, _WIDTH]
-    if x.simultaneous_merging > 0 and hold == 0:
+    if x.simultaneous_merge > 0 and hold == 0:
         out = LateralExtents(low, high, home)
         lateral_extents((lane, fail), near[:q], others, widths, centers, x.lateral_deviation, out)
         return leaves_sight(r, path, centers[lane], x.seen), leaves_sight(r, path, centers[fail], x.seen)

@@ -51,14 +51,14 @@ class VisibilityParameters(NamedTuple):
     slack : tolerance on the gain of a vehicle that enters a lane [m/s^2].
     reaction : number of frames of visibility after which no vehicle begins to enter the ego's lane.
     settled : number of frames of visibility after which no vehicle enters it any more.
-    simultaneous_merging : whether a vehicle may enter a lane that the ego is about to enter. width : of a lane [m].
+    simultaneous_merge : whether a vehicle may enter a lane that the ego is about to enter. width : of a lane [m].
     """
 
     distance: float
     slack: float
     reaction: int
     settled: int
-    simultaneous_merging: bool
+    simultaneous_merge: bool
     width: float
 
 
@@ -319,7 +319,7 @@ def fill_vehicles(
         leasts[j] = min(ahead, floor[j] - state[0])
         near[j] = reach[j] + size.along + size.growth_along + 2.0
         rs[j], across[j] = states[j, 1], states[j, 3] * sin
-    if not sight.simultaneous_merging:
+    if not sight.simultaneous_merge:
         for k in range(centers.shape[0]):
             for j in range(states.shape[0]):
                 others.beside[k, j] = others.comes[k, j] = False

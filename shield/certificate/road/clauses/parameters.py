@@ -29,7 +29,7 @@ class ClauseSettings(NamedTuple):
     acceleration, braking : response of a follower [m/s^2], see `FollowerResponse`. max_speed : [m/s]. power :
         [m^2/s^3].
     hardest : greatest deceleration of any vehicle [m/s^2]. gains : see `VisibilityParameters.slack` [m/s^2].
-    simultaneous_merging, cut_in : 1 if vehicles may enter a lane that the ego is about to enter, and if they may cut
+    simultaneous_merge, cut_in : 1 if vehicles may enter a lane that the ego is about to enter, and if they may cut
         in.
     width : of a lane [m]. lateral_deviation : greatest lateral deviation of a body from the centre of its lane [m].
     perception : range [m]. bent : 1 if the road is curved. dt : frame [s].
@@ -44,7 +44,7 @@ class ClauseSettings(NamedTuple):
     power: float
     hardest: float
     gains: float
-    simultaneous_merging: float
+    simultaneous_merge: float
     cut_in: float
     width: float
     lateral_deviation: float
@@ -99,4 +99,4 @@ def follower_response_of(x: ClauseSettings, hold: int) -> FollowerResponse:
 @kernel_inline
 def visibility_of(x: ClauseSettings) -> VisibilityParameters:
     """Parameters of visibility."""
-    return VisibilityParameters(x.seen, x.gains, int(x.reaction), int(x.settled), x.simultaneous_merging > 0, x.width)
+    return VisibilityParameters(x.seen, x.gains, int(x.reaction), int(x.settled), x.simultaneous_merge > 0, x.width)

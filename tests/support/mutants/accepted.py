@@ -26,7 +26,7 @@ ACCEPTED = (
         "first",
     ),
     off(
-        "a decision held back to what its frame does not try",
+        "a decision checks acceleration caps that its frames do not try",
         "shield.pipelines.meta_actions",
         "MetaActionPipeline.__init__",
         "_(_=True)",
@@ -34,7 +34,7 @@ ACCEPTED = (
         "tests/shield/pipelines/test_first_frame.py",
     ),
     off(
-        "a vehicle counted by its centre",
+        "reach of a vehicle's body off, its centre counts",
         DUTIES,
         "in_reach",
         "abs(_[_]) - _[_]",
@@ -42,7 +42,7 @@ ACCEPTED = (
         "tests/shield/certificate/road/test_unreadable_vehicles.py",
     ),
     off(
-        "frame held back to -0.3 m",
+        "acceleration cap accepted at -0.3 m",
         FRAMES,
         "AccelerationCap.plans",
         "_ >= 0",
@@ -50,7 +50,7 @@ ACCEPTED = (
         "mended[frame]",
     ),
     off(
-        "frame to evade with chosen at -0.3 m",
+        "evasion frame chosen at -0.3 m",
         FRAMES,
         "_evade",
         "_ >= 0",
@@ -58,7 +58,7 @@ ACCEPTED = (
         "stops",
     ),
     both(
-        "frame evades at -0.3 m",
+        "evasion accepted at -0.3 m",
         Edit(FRAMES, "_evade", "_ >= 0", "{1} >= -0.3"),
         Edit(FRAMES, "FramePipeline.fall_back", "_ >= 0", "{1} >= -0.3"),
         tests=("stops",),
@@ -90,7 +90,7 @@ ACCEPTED = (
         tests=("mended[throttle]",),
     ),
     off(
-        "a frame evades by the worst case",
+        "forecast in an evasion off",
         FRAMES,
         "_evade",
         "if _:",
@@ -98,7 +98,7 @@ ACCEPTED = (
         "tests/shield/batch/test_decisions.py",
     ),
     off(
-        "many frames evade by the worst case",
+        "batch: forecast in an evasion off",
         "shield.batch.repairing",
         "evade",
         "(_[_], _[_])",
@@ -107,7 +107,7 @@ ACCEPTED = (
         which=3,
     ),
     off(
-        "a frame evades without the worst case",
+        "worst case in an evasion off",
         "shield.certificate.road.verify",
         "least_bad_evasion",
         "(-_(len(_)), _, _, _)",
@@ -115,7 +115,7 @@ ACCEPTED = (
         "tests/shield/batch/test_decisions.py",
     ),
     off(
-        "many frames evade without the worst case",
+        "batch: worst case in an evasion off",
         "shield.batch.repairing",
         "_least_bad",
         "(_[_], _[_], _)",
@@ -123,7 +123,7 @@ ACCEPTED = (
         "tests/shield/batch/test_decisions.py",
     ),
     off(
-        "input evades at -0.3 m",
+        "evasion by inputs accepted at -0.3 m",
         INPUTS,
         "InputPipeline._evade",
         "_ >= 0",

@@ -10,7 +10,7 @@ _TESTS = "tests/shield/batch/test_decisions.py"
 
 BATCHED = (
     off(
-        "a suspect from another scene",
+        "batch: the suspect is not reset between scenes",
         f"{BATCH}.observing",
         "_prepare",
         "_[0], _[0] = (0, _)",
@@ -18,7 +18,7 @@ BATCHED = (
         _TESTS,
     ),
     off(
-        "whoever is near is in the way",
+        "batch: any vehicle near counts as touching",
         f"{BATCH}.verifying",
         "_touches",
         "_ and _ - (_ + _(_, _, _)) < 0",
@@ -26,7 +26,7 @@ BATCHED = (
         _TESTS,
     ),
     off(
-        "bounds from another scene",
+        "batch: rear bounds are not reset between scenes",
         f"{BATCH}.observing",
         "_prepare",
         "_[0, _] = _[1, _] = 0",
@@ -34,7 +34,7 @@ BATCHED = (
         _TESTS,
     ),
     off(
-        "offenders are never forgiven",
+        "batch: violators are never cleared",
         f"{BATCH}.supervising",
         "clear_violators",
         "_[_, _] = False",

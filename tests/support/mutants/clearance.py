@@ -17,7 +17,7 @@ CLEARANCE = (
         which=1,
     ),
     off(
-        "room in the lane off",
+        "stopping room in the lane off",
         ROOM,
         "margin_of",
         "_ < 0",
@@ -92,7 +92,7 @@ CLEARANCE = (
         which=1,
     ),
     off(
-        "cut-in counts for nothing",
+        "margin of cut-ins off",
         ROOM,
         "margin_of",
         "min(_, _[_])",
@@ -101,7 +101,7 @@ CLEARANCE = (
         which=2,
     ),
     off(
-        "one that slips in keeps its speed meanwhile",
+        "braking of a vehicle that cuts in off",
         SLIPS,
         "_begins",
         "min(_ * _[1, _] ** 2, _)",
@@ -109,7 +109,7 @@ CLEARANCE = (
         "tests/shield/certificate/road/test_alongside.py",
     ),
     off(
-        "one that slips in is held up as it is now",
+        "growth of a cut-in's threshold over time off",
         SLIPS,
         "_begins",
         "_[1, _] * (_ + 0.5 * _ * _ * _) + _ + _ * _",
@@ -117,7 +117,7 @@ CLEARANCE = (
         "tests/evaluation/running/test_found_in_abz.py",
     ),
     off(
-        "who is still settling does not slip in",
+        "cut-in of a vehicle that is still settling in its lane off",
         SLIPS,
         "find_cut_ins",
         "_[_] > _[_]",
@@ -125,7 +125,7 @@ CLEARANCE = (
         "tests/evaluation/running/test_found_in_abz.py",
     ),
     off(
-        "who comes into a lane holds nobody up there yet",
+        "leader that is entering a lane off",
         SLIPS,
         "_held_up",
         "_ + _",

@@ -20,7 +20,7 @@ _BODIES, _MEMORY = "shield.perception.bodies", "shield.certificate.road.memory"
 
 OBSERVED = (
     off(
-        "nobody comes up who has never been seen",
+        "unseen vehicles behind off",
         _UNSEEN,
         "UnseenBehind.states",
         "_ > -_",
@@ -29,7 +29,7 @@ OBSERVED = (
         which=1,
     ),
     off(
-        "a stranger stays where it was",
+        "approach of unseen vehicles off",
         _UNSEEN,
         "UnseenBehind.go_on",
         "_ += (_ - _) * _",
@@ -37,7 +37,7 @@ OBSERVED = (
         f"{_UNSEEN_TESTS}::test_an_unseen_vehicle_approaches_at_its_assumed_limit",
     ),
     off(
-        "who was passed stands still",
+        "motion of passed vehicles off",
         _UNSEEN,
         "UnseenBehind.go_on",
         "_[:, 0] += (_[:, 2] - _) * _",
@@ -45,7 +45,7 @@ OBSERVED = (
         f"{_UNSEEN_TESTS}::test_a_passed_vehicle_is_never_nearer_than_its_bound",
     ),
     off(
-        "everybody is shown where all rows are full",
+        "edge of what full rows show off",
         _UNSEEN,
         "edges",
         "_, _ = (min(_, _), min(_, _))",
@@ -53,7 +53,7 @@ OBSERVED = (
         f"{_DECODING_TESTS}::test_a_decoded_observation_is_the_state_of_the_simulator",
     ),
     off(
-        "a sensor sees as far as highway-env shows",
+        "the spec's sensor range off",
         "shield.perception.spec",
         "ObservationSpec.sight",
         "min(_, _)",
@@ -62,7 +62,7 @@ OBSERVED = (
         which=1,
     ),
     off(
-        "the range of a sensor is not read",
+        "the sensor's range attribute off",
         "shield.perception.scenes",
         "ObservedScenes.check",
         "_(_, _=False, _=float(getattr(_, 'sensor_range', _)))",
@@ -70,7 +70,7 @@ OBSERVED = (
         "tests/evaluation/wrappers/test_sensor_model.py::test_an_unseen_vehicle_is_assumed_beyond_the_range",
     ),
     off(
-        "what wrappers have added is taken for what is shown",
+        "removal of features that wrappers add off",
         "shield.perception.scenes",
         "ObservedScenes.show",
         "_[..., :-_] if _ and _ > 1 else _",
@@ -78,7 +78,7 @@ OBSERVED = (
         "tests/evaluation/wrappers/test_channels.py::test_a_shield_decides_as_without_the_channels",
     ),
     off(
-        "shuffled rows are the nearest",
+        "check for shuffled rows off",
         _UNSEEN,
         "edges",
         "not _ or _",
@@ -86,7 +86,7 @@ OBSERVED = (
         f"{_UNSEEN_TESTS}::test_a_full_shuffled_observation_gives_no_edge",
     ),
     off(
-        "nobody slow is beyond the edge",
+        "slow vehicles beyond the sensor's edge off",
         _PERCEIVING,
         "ObservationPerception._ghosts",
         "_([_(_, _, _, _, _, _), _])",
@@ -94,7 +94,7 @@ OBSERVED = (
         f"{_UNSEEN_TESTS}::test_a_slow_vehicle_beyond_the_edge_is_in_the_scene",
     ),
     off(
-        "bodies reach no further than they are thought to be",
+        "lengthening of bodies by their bounds off",
         _BODIES,
         "_lengthen",
         "_[_, _] += _[_, 0] - _[_, 0]",
@@ -102,7 +102,7 @@ OBSERVED = (
         f"{_NOISE_TESTS}::test_a_delayed_observation_is_extrapolated_to_the_present",
     ),
     off(
-        "speeds are what they are thought to be",
+        "bounds on speeds off",
         _BODIES,
         "_widen",
         "_[_, 2] if _[_, 0] < _ else _[_, 2]",
@@ -110,7 +110,7 @@ OBSERVED = (
         f"{_NOISE_TESTS}::test_a_vehicle_within_the_bounds_is_covered_by_the_body_of_the_scene",
     ),
     off(
-        "rows say nothing of who is who",
+        "matching by row off",
         _KERNELS,
         "_price",
         "min(_[_, _], _) + (_ * min(_, _) if _ == _ else 0.0)",
@@ -118,7 +118,7 @@ OBSERVED = (
         f"{_TRACKING_TESTS}::test_the_order_of_sorted_rows_identifies_vehicles_under_large_noise",
     ),
     off(
-        "a bad sensor is believed of newcomers",
+        "prior of a new track's velocity off",
         _TRACKING,
         "_initial_estimate",
         "_[:, _] += _ / (_ + _ ** 2) * (_ - _[:, _])",
@@ -126,7 +126,7 @@ OBSERVED = (
         f"{_TRACKING_TESTS}::test_the_speed_of_a_bad_sensor_is_weighed_against_the_prior",
     ),
     off(
-        "a side is the middle",
+        "side quantiles of a mixture off",
         _KERNELS,
         "_find",
         "_(_[_], (_[0, _], _[1, _], _[2, _]), _, _[1, _], _)",
@@ -134,7 +134,7 @@ OBSERVED = (
         f"{_TRACKING_TESTS}::test_the_sides_of_a_mixture_are_exceeded_as_often_as_they_say",
     ),
     off(
-        "noise widens what was known",
+        "nesting of noisy bounds over time off",
         _MEMORY,
         "observe",
         "_ = _(_, _, _, _)",
@@ -142,7 +142,7 @@ OBSERVED = (
         f"{_NOISE_TESTS}::test_bounds_are_no_wider_than_those_predicted_from_the_frame_before",
     ),
     off(
-        "who may come is told by the row",
+        "matching of vehicles that may enter, by identity, off",
         _MEMORY,
         "_lanes",
         "_[:, _ >= 0] = _[:, _[_ >= 0]]",
@@ -150,7 +150,7 @@ OBSERVED = (
         f"{_TRACKING_TESTS}::test_the_order_of_the_rows_changes_nothing",
     ),
     off(
-        "what was lost by turning is forgotten",
+        "memory of turning allowances off",
         _MEMORY,
         "_before",
         "_[:, _], _[:, _] = (_[:, _], _[:, _])",
@@ -158,7 +158,7 @@ OBSERVED = (
         f"{_TRACKING_TESTS}::test_the_memory_of_recognised_vehicles_is_that_of_exact_scenes",
     ),
     off(
-        "nobody monitors the sensor",
+        "sensor monitor off",
         _MONITOR,
         "SensorMonitor.alarmed",
         "_ > _",
@@ -166,7 +166,7 @@ OBSERVED = (
         _CHANGED,
     ),
     off(
-        "an alarm leaves the bounds as they are",
+        "wider bounds after an alarm off",
         _PERCEIVING,
         "ObservationPerception.bounds",
         "return _((2, 4), _)",
@@ -174,7 +174,7 @@ OBSERVED = (
         _CHANGED,
     ),
     off(
-        "an alarm narrows by who was there before",
+        "reset of identities after an alarm off",
         _PERCEIVING,
         "ObservationPerception._scene",
         "_ = _(len(_), -1)",
@@ -182,7 +182,7 @@ OBSERVED = (
         _CHANGED,
     ),
     off(
-        "an alarm leaves the guarantee",
+        "loss of the guarantee after an alarm off",
         _PERCEIVING,
         "ObservationPerception.rating",
         "return (_, 0.0)",
@@ -190,7 +190,7 @@ OBSERVED = (
         _CHANGED,
     ),
     off(
-        "what was seen a decision ago counts on",
+        "time window of the sensor monitor off",
         _MONITOR,
         "SensorMonitor.after",
         "_[0] > _ - _",
@@ -198,7 +198,7 @@ OBSERVED = (
         f"{_LEARNED_TESTS}::test_observations_older_than_a_decision_do_not_count_for_the_alarm",
     ),
     off(
-        "noise is what little says",
+        "confidence bound of few noise samples off",
         _LEARNED,
         "Noise.sigma",
         "_ / (_ * _ ** 3)",
@@ -206,7 +206,7 @@ OBSERVED = (
         f"{_LEARNED_TESTS}::test_noise_is_not_underestimated_from_few_observations",
     ),
     off(
-        "an unknown sensor is a good one",
+        "initial noise of an unknown sensor off",
         _LEARNED,
         "Noise.sigma",
         "_()",
@@ -214,7 +214,7 @@ OBSERVED = (
         f"{_LEARNED_TESTS}::test_no_noise_estimate_exists_before_an_observation",
     ),
     off(
-        "bounds do not answer to being missed",
+        "adaptation of conformal bounds off",
         _LEARNED,
         "Conformal.after",
         "_ * (_ * _ - _(_)._(_=1))",
@@ -222,7 +222,7 @@ OBSERVED = (
         f"{_LEARNED_TESTS}::test_the_chosen_share_exceeds_conformal_bounds_for_any_distribution",
     ),
     off(
-        "the widest bounds are never missed",
+        "count of misses at the widest bounds off",
         _LEARNED,
         "Conformal.missed",
         "(_ > _) | (_ >= _)",
@@ -239,7 +239,7 @@ OBSERVED = (
         which=1,
     ),
     off(
-        "through noise the fallback looks at bounds alone",
+        "fallback on shrunk bounds off",
         _FRAMES,
         "FramePipeline.fall_back",
         "_ is not None",
@@ -248,7 +248,7 @@ OBSERVED = (
         which=2,
     ),
     off(
-        "the fallback leaves its lane for one that looks freer",
+        "preference of the fallback for its lane off",
         _FRAMES,
         "_least_bad_of_shrunk_bounds.clear",
         "_ & (_[-1]._ >= 0)",

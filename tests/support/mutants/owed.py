@@ -8,7 +8,7 @@ __all__ = ["OWED"]
 
 OWED = (
     off(
-        "a strip does not shrink to where the ego stops",
+        "shrinking of a band to the ego's stop off",
         DUTIES,
         "find_unobligated",
         "_, _ = (_[_] - _, _[_] + _)",
@@ -17,7 +17,7 @@ OWED = (
         "tests/shield/certificate/road/test_induction.py::test_no_follower_takes_a_plan_away_by_taking_less_room",
     ),
     off(
-        "all the way that is left is one coming frame",
+        "remaining distance beyond one coming frame off",
         SEPARATION,
         "_front",
         "return _ * _ * _",
@@ -25,7 +25,7 @@ OWED = (
         "tests/shield/certificate/road/test_plans_that_last.py",
     ),
     off(
-        "blind merge off",
+        "simultaneous merge off",
         TOGETHER,
         "_lateral",
         "_ > 0 and _ == 0",
@@ -33,7 +33,7 @@ OWED = (
         "blind",
     ),
     off(
-        "nobody enters but who is on the way",
+        "entering for an incentive off",
         ENTERING,
         "mark_entrants",
         "_ or _[_, 1 if _ else 0]",
@@ -41,7 +41,7 @@ OWED = (
         "blind",
     ),
     off(
-        "nobody enters but who gains by it",
+        "entering of vehicles on the way off",
         ENTERING,
         "mark_entrants",
         "_ or _[_, 1 if _ else 0]",
@@ -49,7 +49,7 @@ OWED = (
         "loses",
     ),
     off(
-        "seen at once by one that is turning in",
+        "reaction time of a vehicle that is turning in off",
         ENTERING,
         "mark_entrants",
         "_[_] >= _",
@@ -57,7 +57,7 @@ OWED = (
         "turning",
     ),
     off(
-        "who turns in gives way",
+        "entering of a vehicle that has begun to turn off",
         ENTERING,
         "mark_entrants",
         "_ and _",
@@ -66,7 +66,7 @@ OWED = (
         which=1,
     ),
     off(
-        "begun before it could see the ego",
+        "settling time of a visible ego off",
         ENTERING,
         "mark_entrants",
         "_[_] > _",
@@ -74,7 +74,7 @@ OWED = (
         "tests/shield/certificate/road/clauses/test_kernels.py",
     ),
     off(
-        "nobody comes where the ego is out of sight",
+        "entering where the ego is out of sight off",
         ENTERING,
         "leaves_sight",
         "if _:",
@@ -82,7 +82,7 @@ OWED = (
         "joins",
     ),
     off(
-        "everybody behind owes",
+        "obligation limited to owned lanes off",
         DUTIES,
         "find_unobligated",
         "_[_] and _[_]",
@@ -90,7 +90,7 @@ OWED = (
         "owes",
     ),
     off(
-        "owed even where the path enters the lane",
+        "end of the obligation where the path enters a lane off",
         DUTIES,
         "find_unobligated",
         "_ = _ and (not (_ or _[_, _]))",
@@ -98,7 +98,7 @@ OWED = (
         "owes",
     ),
     off(
-        "those ahead owe",
+        "obligation limited to vehicles behind off",
         DUTIES,
         "find_unobligated",
         "_[_] and _[_]",
@@ -106,7 +106,7 @@ OWED = (
         "owes",
     ),
     off(
-        "owed what was left and is come back to",
+        "end of the obligation where the ego comes back to a lane off",
         DUTIES,
         "_comes_back",
         "_ and _",
@@ -114,7 +114,7 @@ OWED = (
         "left",
     ),
     off(
-        "duty ends where the lane is owned no more",
+        "obligation until the ego has left the band off",
         DUTIES,
         "fill_vehicles",
         "_ and _ < _[1] + _ and (_ > _[1] - _)",
@@ -122,7 +122,7 @@ OWED = (
         "lasts",
     ),
     off(
-        "duty ends where a corner comes beside a corner",
+        "obligation while corners are alongside off",
         DUTIES,
         "fill_vehicles",
         "_ = _(_, _, _, _, _, 0.0) >= 0",
@@ -130,7 +130,7 @@ OWED = (
         "corner",
     ),
     off(
-        "duty lasts where the buffer is touched",
+        "end of the obligation where the buffer is touched off",
         DUTIES,
         "fill_vehicles",
         "_(_, _, _, _, _, 0.0) >= 0",
@@ -138,7 +138,7 @@ OWED = (
         "corner",
     ),
     off(
-        "nobody joins where the ego has got out of sight",
+        "joining where the ego is out of sight off",
         DUTIES,
         "update_lanes",
         "_[_, _] = _[_, _] or not _[_]",
@@ -146,7 +146,7 @@ OWED = (
         "anybody",
     ),
     off(
-        "who enters need not gain by it",
+        "lane-change incentive off",
         MOBIL,
         "_mobil_permits",
         "_ >= _ - _ and _ <= _ + _",
@@ -154,7 +154,7 @@ OWED = (
         TESTS_OF_MOBIL,
     ),
     off(
-        "who leaves a lane leads there",
+        "exclusion of vehicles that leave a lane as leaders off",
         MOBIL,
         "_counts_in_lane",
         "abs(_ - _) <= _ and abs(_ + _ * _ - _) <= _",
@@ -162,7 +162,7 @@ OWED = (
         TESTS_OF_MOBIL,
     ),
     off(
-        "the ego holds nobody up",
+        "the ego as a leader off",
         MOBIL,
         "lane_change_incentive",
         "_ >= 0",
@@ -171,7 +171,7 @@ OWED = (
         which=1,
     ),
     off(
-        "who may enter too owes",
+        "end of the obligation of a vehicle that may enter off",
         DUTIES,
         "find_unobligated",
         "_ or _[_, _]",
@@ -179,7 +179,7 @@ OWED = (
         "tests/shield/certificate/road/test_found.py",
     ),
     off(
-        "who enters may impose anything",
+        "limit of imposed braking off",
         MOBIL,
         "_mobil_permits",
         "_ >= _ - _ and _ <= _ + _",
@@ -195,7 +195,7 @@ OWED = (
         "owned",
     ),
     off(
-        "lane owned for ever",
+        "end of lane ownership off",
         DUTIES,
         "update_lanes",
         "_ and (_ < _ or _ == _)",
@@ -203,7 +203,7 @@ OWED = (
         "owned",
     ),
     off(
-        "lane lost before the body has left it",
+        "ownership until the body has left the lane off",
         DUTIES,
         "update_lanes",
         "_ and (_ < _ or _ == _) or (_ == _ and _ < _)",
@@ -211,7 +211,7 @@ OWED = (
         "owned",
     ),
     off(
-        "lane lost that the plan stops in",
+        "ownership of the lane that the plan stops in off",
         DUTIES,
         "update_lanes",
         "_ < _ or _ == _",
@@ -236,7 +236,7 @@ OWED = (
         "follower[idm-15-20-0.0]",
     ),
     off(
-        "seen for long already",
+        "time since the ego became visible off",
         TOGETHER,
         "_separations",
         "-1",
@@ -245,7 +245,7 @@ OWED = (
         "follower[rss-25-20-1.5]",
     ),
     off(
-        "follower that still brakes when the ego stands off",
+        "braking of a follower after the ego's stop off",
         SEPARATION,
         "_front",
         "_ and _[_ - 1, 3] < 0.5",
@@ -262,7 +262,7 @@ OWED = (
         "follower[idm-15-20-0.0]",
     ),
     off(
-        "follower brakes harder than it owes",
+        "follower brakes harder than assumed",
         SETTINGS,
         "settings_of",
         "_(_, _(_, _), _(_, _), _, _, _, _, _, _, _, _, _, _, _, _, _)",

@@ -8,7 +8,7 @@ __all__ = ["PLACES"]
 
 PLACES = (
     off(
-        "old lane dropped at the midline",
+        "previous lane beyond the midline off",
         BODIES,
         "touched_lanes",
         "_[_], _[_], _[_] = (_, _, _)",
@@ -17,7 +17,7 @@ PLACES = (
         which=2,
     ),
     off(
-        "wavering off",
+        "lateral deviation off",
         BODIES,
         "touched_lanes",
         "0.5 * _ + _",
@@ -26,7 +26,7 @@ PLACES = (
         which=2,
     ),
     off(
-        "leaning off",
+        "marking tolerance off",
         BODIES,
         "touched_lanes",
         "0.5 * _ + _",
@@ -43,7 +43,7 @@ PLACES = (
         "drift",
     ),
     off(
-        "reach is half the length only",
+        "reach of a body by its width off",
         BODIES,
         "touched_lanes",
         "_(_, _)",
@@ -51,7 +51,7 @@ PLACES = (
         "diagonal",
     ),
     off(
-        "turning costs nothing",
+        "braking limit by turning off",
         BODIES,
         "_lost",
         "min(_, _ / max(_, _))",
@@ -75,7 +75,7 @@ PLACES = (
         "last",
     ),
     off(
-        "least place of the last frame looked at off",
+        "least place of the last verified frame off",
         TOGETHER,
         "_rears",
         "_ == 0",
@@ -92,7 +92,7 @@ PLACES = (
         "brakes",
     ),
     off(
-        "others stop less soon",
+        "others stop later",
         BODIES,
         "_braking_way",
         "_ * _",
@@ -125,7 +125,7 @@ PLACES = (
         "bicycle",
     ),
     off(
-        "driving straight on past a sharp bend is not judged",
+        "monitor of driving straight on past a sharp bend off",
         "shield.certificate.network.monitor",
         "_inside",
         "_ &= -_[_] <= _(_[_[_, 1]], -_[:, _]) + _",
@@ -133,7 +133,7 @@ PLACES = (
         "tests/shield/certificate/network/test_own_road_networks.py",
     ),
     off(
-        "no vehicle is predicted straight on past a sharp bend",
+        "prediction of driving straight on past a sharp bend off",
         "shield.certificate.network.clearance",
         "least_separation",
         "_ + _[_]",
@@ -142,7 +142,7 @@ PLACES = (
         reads="overruns",
     ),
     off(
-        "the first of two ways of equal length counts alone",
+        "second of two ways of equal length off",
         "dynamics.road_networks.reachable.strips",
         "add",
         "_[_] = max(_[_], _)",

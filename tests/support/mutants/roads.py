@@ -17,7 +17,7 @@ _JUDGING, _PREDICTION = "shield.certificate.network.clearance", "dynamics.road_n
 
 ROADS = (
     off(
-        "nobody goes on where lanes end",
+        "prediction past the end of a lane off",
         _PREDICTION,
         "_add_next_strips",
         "_ >= 0",
@@ -25,7 +25,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "nobody comes over from a lane that ends",
+        "prediction of merging from a lane that ends off",
         _PREDICTION,
         "_add_next_strips",
         "_[_] >= 0",
@@ -34,7 +34,7 @@ ROADS = (
         which=2,
     ),
     off(
-        "nobody accelerates",
+        "predicted acceleration off",
         _PREDICTION,
         "distance_bounds",
         "_ = min(_ + _ * _, _)",
@@ -42,7 +42,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "who comes from the lane before is no faster for how the frames fall",
+        "rounding of arrival frames from the previous lane off",
         _JUDGING,
         "_followed",
         "_ = max(_, min(_(_, _[_], _[_], _, _), _))",
@@ -50,7 +50,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "nobody brakes",
+        "predicted braking off",
         _PREDICTION,
         "distance_bounds",
         "max(_ - _ * _, 0.0)",
@@ -58,7 +58,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "where the ego rests nobody comes later",
+        "later arrivals at the ego's stop off",
         _JUDGING,
         "least_separation",
         "_ = _",
@@ -66,7 +66,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "one behind owes its distance before it has come over from a lane that ends",
+        "no obligation before merging from a lane that ends off",
         "shield.certificate.network.obligations",
         "find_followers",
         "_ & ((_[:, _] > 0) & (not _) | _)",
@@ -74,7 +74,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "nobody drives far off a lane that leads nowhere",
+        "driving on past a dead end off",
         "shield.certificate.network.projection",
         "project_path",
         "_(_, _)",
@@ -83,7 +83,7 @@ ROADS = (
         which=3,
     ),
     off(
-        "a vehicle off the end of a lane that leads nowhere has left it",
+        "vehicle past a dead end is in its lane off",
         "dynamics.road_networks.reachable.present_lanes",
         "_pose",
         "_ <= _ or _(_, _)",
@@ -91,7 +91,7 @@ ROADS = (
         _OWN,
     ),
     off(
-        "a lane is passed over once",
+        "later passes over a lane off",
         "dynamics.road_networks.reachable.strips",
         "add",
         "_(_, _, _)",
@@ -100,7 +100,7 @@ ROADS = (
         reads="_repeats",
     ),
     off(
-        "a later pass is contained in no earlier one",
+        "containment of a later pass in an earlier one off",
         "shield.certificate.network.monitor",
         "_inside",
         "_ <= _[:, _] + _[:, _]",
@@ -108,7 +108,7 @@ ROADS = (
         _OWN,
     ),
     off(
-        "who is ahead on a ring is behind",
+        "distinction of ahead and behind on a ring off",
         _JUDGING,
         "_has_obligation",
         "_ + _ <= _[_, 0] < _",
@@ -116,7 +116,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "who creeps gets as far along its lane as others",
+        "bound of slow vehicles on arrival off",
         _JUDGING,
         "_arrival",
         "_ = max(_, _[3] + _)",
@@ -124,7 +124,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "who is behind need not brake",
+        "monitor of braking followers off",
         "shield.certificate.network.monitor",
         "NetworkMonitor._broken",
         "if _:",
@@ -132,7 +132,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "who owes its distance keeps it on whatever course",
+        "check that obliged vehicles can brake off",
         "shield.certificate.network.choice",
         "choose",
         "if _:",
@@ -140,7 +140,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "who can keep its distance no longer is counted on to",
+        "end of trust in followers that brake late off",
         "shield.certificate.network.late_braking",
         "LateBraking.now",
         "_(_ < _, _, _)",
@@ -148,7 +148,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "who owes its distance has the time to react again",
+        "immediate braking of obliged followers off",
         _JUDGING,
         "least_separation",
         "_(0, 0, True, _[_])",
@@ -156,7 +156,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "who stands astride waits too",
+        "no waiting of a vehicle across a marking off",
         _PREDICTION,
         "_add_next_strips",
         "_[_, 2] == -1 and max(_[_], -_[_]) <= _[_]",
@@ -164,7 +164,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "who is coming over keeps to its lane",
+        "lateral bounds of a merging vehicle off",
         _PREDICTION,
         "_neighbour_strip",
         "_[_], _[_] = (min(_[_], -_ - _), max(_[_], _ - _))",
@@ -172,7 +172,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "where the ego rests nobody rolls back later",
+        "later rolling back at the ego's stop off",
         _JUDGING,
         "least_separation",
         "_ = min(_, _[_, _[1] - 1] - _[_])",
@@ -180,7 +180,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "who rolls back is no nearer in the later frame",
+        "later frame of a vehicle that rolls back off",
         _JUDGING,
         "least_separation",
         "min(_[_, max(_ - 1, 0)], _[_, _ + 1])",
@@ -188,7 +188,7 @@ ROADS = (
         _TRANSITIONS,
     ),
     off(
-        "whoever is counted on to brake keeps its front where it is",
+        "front gap of a follower that brakes off",
         _JUDGING,
         "least_separation",
         "_(_, _, _, _[_])",
@@ -196,7 +196,7 @@ ROADS = (
         _TRANSITIONS,
     ),
     off(
-        "an ego beside the middle of a lane shuts it",
+        "lane centre condition for blocking a lane off",
         _JUDGING,
         "least_separation",
         "_ and _[_, 1] <= _ and (_[_, _, 2] < 0.0 < _[_, _, 3])",
@@ -204,7 +204,7 @@ ROADS = (
         _TRANSITIONS,
     ),
     off(
-        "who is skipped may have to be kept clear of in the next frame",
+        "monitor of intervals that the ego blocks off",
         "shield.certificate.network.monitor",
         "_inside",
         "(_[_] <= _[_]) & (~_[_] | _[_] | ~_)",
@@ -212,7 +212,7 @@ ROADS = (
         _TRANSITIONS,
     ),
     off(
-        "how far a vehicle gets is not compared",
+        "monitor of the distance travelled off",
         "shield.certificate.network.monitor",
         "_inside",
         "if not _(_[_], _[_]):",
@@ -220,7 +220,7 @@ ROADS = (
         _TRANSITIONS,
     ),
     off(
-        "one turns into the next lane from its own alone",
+        "turning into the next lane before the joint off",
         _PREDICTION,
         "_following_strip",
         "_[_, 0]",
@@ -229,7 +229,7 @@ ROADS = (
         which=1,
     ),
     off(
-        "those behind see the ego before they are in its lane",
+        "followers wait until they are in the ego's lane off",
         _JUDGING,
         "_followed",
         "_ >= _ and _",
@@ -237,7 +237,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "no buffer on the lanes",
+        "buffer on road networks off",
         "shield.certificate.network.projection",
         "_box",
         "_(0.0, _, _, _, _)",
@@ -245,7 +245,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "what stands is not there",
+        "standing bodies off",
         _JUDGING,
         "least_separation",
         "if _ < _:",
@@ -254,7 +254,7 @@ ROADS = (
         which=1,
     ),
     off(
-        "everybody waits, whatever the right of way",
+        "right of way off",
         _JUDGING,
         "_waits",
         "_ > 0 and _[_[_ - 1]] > _[_]",
@@ -262,7 +262,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "who waits needs no time to react",
+        "reaction time of vehicles that wait off",
         _JUDGING,
         "_waits",
         "(_, _[_, _])",
@@ -270,7 +270,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "who has to wait may do as it likes",
+        "monitor of vehicles that have to wait off",
         "shield.certificate.network.monitor",
         "NetworkMonitor._broken",
         "_(_)",
@@ -280,7 +280,7 @@ ROADS = (
         reads="RIGHT_OF_WAY",
     ),
     off(
-        "who creeps gains as much as others",
+        "bound of slow vehicles on acceleration off",
         _PREDICTION,
         "distance_bounds",
         "_[_, 4] if 0.0 < _ < _[_, 3] else 1.0",
@@ -288,7 +288,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "who is about to leave its lane has left it",
+        "link of a strip to its previous lane off",
         _PREDICTION,
         "_link_parents",
         "_[_, 2] = _",
@@ -296,7 +296,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "who is beside its lane may stay there",
+        "monitor of vehicles beside their lane off",
         "shield.certificate.network.monitor",
         "_inside",
         "_ & _ & _",
@@ -304,7 +304,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "the last resort does as it was told",
+        "preference for the slower unverified candidate off",
         "shield.certificate.network.choice",
         "_better",
         "_ < _",
@@ -312,7 +312,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "it turns aside into a lane that ends",
+        "exclusion of a lane that ends for swerving off",
         "dynamics.road_networks.simulation.ego_manoeuvres",
         "simulate_manoeuvre",
         "0 <= _ < _[_, _] and _[_, _] == _[_[_, 0], _] and (_[_] < 0)",
@@ -320,7 +320,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "the ego leaves the road",
+        "refusal of paths that leave the road off",
         "shield.certificate.network.choice",
         "_weigh",
         "_ < 0",
@@ -328,7 +328,7 @@ ROADS = (
         _CLAUSES,
     ),
     off(
-        "who stops behind the ego comes no further",
+        "blocking limited to a rear within the lane off",
         _JUDGING,
         "least_separation",
         "_ and _[_, 1] <= _ and (_[_, _, 2] < 0.0 < _[_, _, 3])",
@@ -336,7 +336,7 @@ ROADS = (
         _FOUND,
     ),
     off(
-        "the lane that the ego is in is not tried",
+        "candidates in other lanes off",
         "shield.filters.network",
         "NetworkFilter._choose",
         "_()",
@@ -344,7 +344,7 @@ ROADS = (
         _FOUND,
     ),
     off(
-        "wrecks appear unnamed",
+        "monitor of new wrecks off",
         "shield.certificate.network.monitor",
         "_of_standing",
         "yield (_, {_})",
@@ -353,7 +353,7 @@ ROADS = (
         which=1,
     ),
     off(
-        "what two strips lead to is shut with neither",
+        "blocking of a lane that several strips lead to off",
         _JUDGING,
         "_is_blocked",
         "_ != _",
@@ -361,7 +361,7 @@ ROADS = (
         _LOOPHOLES,
     ),
     off(
-        "an object is where it is, whatever its speed",
+        "motion of moving objects off",
         "shield.certificate.network.others",
         "_standing",
         "_ * _",
@@ -369,7 +369,7 @@ ROADS = (
         _LOOPHOLES,
     ),
     off(
-        "a vehicle is on the lane that it names",
+        "check that a vehicle is on its named lane off",
         "shield.certificate.network.others",
         "_lane_of",
         "_ in _ and _(_)._(_)",
@@ -377,7 +377,7 @@ ROADS = (
         _LOOPHOLES,
     ),
     off(
-        "a heading out of the lanes is none out of the ways",
+        "rule WAYS of road networks off",
         "shield.certificate.network.monitor",
         "NetworkMonitor.next",
         "_ and _[_]",
@@ -385,7 +385,7 @@ ROADS = (
         _LOOPHOLES,
     ),
     off(
-        "who becomes an object was known before",
+        "exclusion of crashed vehicles from new objects off",
         "shield.certificate.network.monitor",
         "_of_standing",
         "_ not in _ or not getattr(_, 'crashed', False)",
@@ -393,7 +393,7 @@ ROADS = (
         _LOOPHOLES,
     ),
     off(
-        "rules are judged where the path has suffered",
+        "check of rules between CLEAR and NEW_PATH_MARGIN off",
         "shield.certificate.network.monitor",
         "NetworkMonitor.next",
         "_[_] < _",
@@ -402,7 +402,7 @@ ROADS = (
         which=2,
     ),
     off(
-        "objects and wrecks may move",
+        "monitor of moving objects and wrecks off",
         "shield.certificate.network.monitor",
         "_of_standing",
         "yield (_, {_})",
@@ -411,7 +411,7 @@ ROADS = (
         which=2,
     ),
     off(
-        "bodies may grow into the way",
+        "monitor of growing bodies off",
         "shield.certificate.network.monitor",
         "NetworkMonitor._broken",
         "_(_)",
@@ -421,7 +421,7 @@ ROADS = (
         reads="GROWN",
     ),
     off(
-        "a side of a body reaches no further across a sine than its ends",
+        "bulge of a body's side across a sine lane off",
         "dynamics.road_networks.geometry.footprints",
         "_bulges",
         "abs(_) < abs(_ * _ * _)",
@@ -429,7 +429,7 @@ ROADS = (
         _BANDS,
     ),
     off(
-        "towards the centre of an arc a body takes no more of its length",
+        "extent of a body towards an arc's centre off",
         "dynamics.road_networks.reachable.present_lanes",
         "_pose",
         "max(_ - _, _ - _, _(_, _, _, _))",
@@ -437,7 +437,7 @@ ROADS = (
         _BANDS,
     ),
     off(
-        "past the end of half a circle the ego is before its start",
+        "unrolled position past half a circle off",
         "shield.certificate.network.projection",
         "project_path",
         "_(_, _, _)",
@@ -445,7 +445,7 @@ ROADS = (
         _BANDS,
     ),
     off(
-        "a body that is far from its lane is not looked at",
+        "projection of a body far from its lane off",
         "shield.certificate.network.projection",
         "project_path",
         "max(_[_], _)",
@@ -453,7 +453,7 @@ ROADS = (
         _BANDS,
     ),
     off(
-        "a duty ends where the lane does",
+        "obligation into the following lane off",
         "shield.certificate.network.obligations",
         "find_followers",
         "_ = _ & (_ >= 0) & _[_, _[_]] & ~_[_, _]",
@@ -461,7 +461,7 @@ ROADS = (
         _JOINTS,
     ),
     off(
-        "the rear of an inclined ego is where its buffer's is",
+        "rear of an inclined body without its buffer off",
         _JUDGING,
         "_has_obligation",
         "_[_, 0]",
@@ -470,7 +470,7 @@ ROADS = (
         which=2,
     ),
     off(
-        "frames that are supervised are compiled",
+        "exclusion of supervised frames from compiled frames off",
         "dynamics.road_networks.simulation.compiled_frames",
         "CompiledFrames._simulate",
         "any(('act' in vars(_) for _ in _))",
@@ -478,7 +478,7 @@ ROADS = (
         _AROUND,
     ),
     off(
-        "a wrapper changes what was verified",
+        "check of actions that a wrapper has changed off",
         "shield.environments",
         "check_step",
         "not _(_, _)",
@@ -486,7 +486,7 @@ ROADS = (
         _AROUND,
     ),
     off(
-        "a plan with weak braking is judged for 11 s only",
+        "longer horizon for weak braking off",
         "shield.certificate.network.manoeuvres",
         "frames_of",
         "max(_, _ / _)",

@@ -17,7 +17,7 @@ _INPUTS, _CONSTANT_INPUTS = (
 
 SIMULATED = (
     off(
-        "what is simulated passes",
+        "verification by simulation off",
         f"{EXACT}.decision_kernels",
         "try_proposal",
         "if _ < 0:",
@@ -25,7 +25,7 @@ SIMULATED = (
         _TESTS,
     ),
     off(
-        "a plan may end where ways cross",
+        "refusal of plans that end on a crossing off",
         f"{EXACT}.search",
         "ends_on_crossing",
         "_[0] or not _(_, _)",
@@ -33,7 +33,7 @@ SIMULATED = (
         "tests/shield/certificate/simulated/test_roads.py",
     ),
     off(
-        "no buffer in what is simulated",
+        "buffer in simulated traffic off",
         f"{EXACT}.search",
         "clearance",
         "(_ + _, _ + _)",
@@ -41,7 +41,7 @@ SIMULATED = (
         _TESTS,
     ),
     off(
-        "one decision is enough",
+        "simulated horizon beyond one decision off",
         f"{EXACT}.search",
         "find_sequence",
         "_(_, _[0], _) if _ == _ else -_",
@@ -49,7 +49,7 @@ SIMULATED = (
         _TESTS,
     ),
     off(
-        "only the last decision's clearance",
+        "clearance of earlier decisions off",
         f"{EXACT}.search",
         "depth_first",
         "min(_[_], _)",
@@ -57,7 +57,7 @@ SIMULATED = (
         _TESTS,
     ),
     off(
-        "a search that never turns back",
+        "backtracking off",
         f"{EXACT}.search",
         "depth_first",
         "_ -= 1",
@@ -65,7 +65,7 @@ SIMULATED = (
         _TESTS,
     ),
     off(
-        "a dead end is gone to again and again",
+        "dead-end table off",
         f"{EXACT}.search",
         "depth_first",
         "_ < _ or _(_, _ + 1)",
@@ -73,7 +73,7 @@ SIMULATED = (
         _TESTS,
     ),
     off(
-        "a dead end of another present is one of this",
+        "clearing of the dead-end table off",
         f"{EXACT}.node_budget",
         "reset_budget",
         "_(_)",
@@ -82,7 +82,7 @@ SIMULATED = (
         which=1,
     ),
     off(
-        "a frame is looked at in each decision",
+        "clearance of all but the last frame off",
         f"{EXACT}.search",
         "finish_action",
         "min(_, _(_, _, _, _, _))",
@@ -90,7 +90,7 @@ SIMULATED = (
         _TESTS,
     ),
     off(
-        "an alternative is as good as its first decisions",
+        "check of an alternative's whole horizon off",
         f"{EXACT}.closest",
         "closest_plan",
         "_(_, _)",
@@ -98,7 +98,7 @@ SIMULATED = (
         _TESTS,
     ),
     off(
-        "the first way to a lane and speed is kept, not the best",
+        "replacement of a node by a cheaper one off",
         f"{EXACT}.closest",
         "_expand",
         "not _ < (_ if _ == _ else _[_])",
@@ -106,7 +106,7 @@ SIMULATED = (
         "tests/shield/certificate/simulated/test_closest.py",
     ),
     off(
-        "who asks for a side is driven as fast as can be",
+        "cost of lanes on the requested side off",
         f"{EXACT}.closest",
         "lane_speed_target_of",
         "_, _ = (_, 0.0) if _ == 0 else (0.0, _)",
@@ -114,7 +114,7 @@ SIMULATED = (
         "tests/shield/certificate/simulated/test_roads.py",
     ),
     off(
-        "a search that ends early is a plan",
+        "check that a search reaches the horizon off",
         f"{EXACT}.closest",
         "clear_plan",
         "_ == _ or _[_] < _",
@@ -122,7 +122,7 @@ SIMULATED = (
         _TESTS,
     ),
     off(
-        "who is boxed in looks for one future of each lane and speed",
+        "depth-first search for the longest sequence off",
         f"{EXACT}.decision_kernels",
         "longest_sequence",
         "return (_, _)",
@@ -131,7 +131,7 @@ SIMULATED = (
         which=1,
     ),
     off(
-        "what lasts longest begins from nothing",
+        "longest sequence starts at the known prefix off",
         f"{EXACT}.decision_kernels",
         "longest_sequence",
         "_ > 0",
@@ -139,7 +139,7 @@ SIMULATED = (
         "tests/shield/certificate/simulated/test_roads.py",
     ),
     off(
-        "what was planned is not gone on with",
+        "continuation of the stored sequence off",
         f"{EXACT}.decision_kernels",
         "replace",
         "_ < 0 and _ > 0 and (not _)",
@@ -147,7 +147,7 @@ SIMULATED = (
         "tests/shield/certificate/simulated/test_roads.py",
     ),
     off(
-        "a search over lanes and speeds takes as long as it likes",
+        "node budget of the search over lanes and speeds off",
         f"{EXACT}.node_budget",
         "has_budget",
         "bool(_[0] < _[1])",
@@ -155,7 +155,7 @@ SIMULATED = (
         "tests/shield/certificate/simulated/test_roads.py",
     ),
     off(
-        "what was planned is not joined again",
+        "joining of the stored sequence off",
         f"{EXACT}.search",
         "find_sequence",
         "_ > 0 and (not _) and (not _)",
@@ -163,7 +163,7 @@ SIMULATED = (
         "tests/shield/certificate/simulated/test_roads.py",
     ),
     off(
-        "to join what was planned may take all of the budget",
+        "budget share for joining the stored sequence off",
         f"{EXACT}.search",
         "find_sequence",
         "_ -= _",
@@ -171,7 +171,7 @@ SIMULATED = (
         "tests/shield/certificate/simulated/test_roads.py",
     ),
     off(
-        "a search in depth takes as long as it likes",
+        "node budget of the depth-first search off",
         f"{EXACT}.search",
         "depth_first",
         "min(_[0] + _ - _, _[1])",
@@ -179,7 +179,7 @@ SIMULATED = (
         "tests/shield/certificate/simulated/test_roads.py",
     ),
     off(
-        "a search in depth forgets what went on longest",
+        "record of the longest sequence off",
         f"{EXACT}.search",
         "depth_first",
         "_ > _",
@@ -187,7 +187,7 @@ SIMULATED = (
         "tests/shield/certificate/simulated/test_roads.py",
     ),
     off(
-        "the mask asks more than a decision",
+        "one-decision check of the mask off",
         "shield.filters.simulated.meta_actions",
         "SimulatedMetaActionFilter.mask",
         "not _(_, 0)",
@@ -195,7 +195,7 @@ SIMULATED = (
         _TESTS,
     ),
     off(
-        "the mask forgets what was planned",
+        "stored sequence in the mask off",
         "shield.filters.simulated.meta_actions",
         "SimulatedMetaActionFilter.mask",
         "_[0]",
@@ -204,7 +204,7 @@ SIMULATED = (
         which=2,
     ),
     off(
-        "nothing is foretold",
+        "comparison with the predicted scene off",
         "shield.filters.simulated.predicted_scene",
         "PredictedScene._compare",
         "any((_[_] == _ for _ in _))",
@@ -212,7 +212,7 @@ SIMULATED = (
         _TESTS,
     ),
     off(
-        "the ego is foretold too",
+        "exclusion of the ego from prediction mismatches off",
         "shield.filters.simulated.predicted_scene",
         "PredictedScene._compare",
         "any((_[_] == _ for _ in _))",
@@ -220,7 +220,7 @@ SIMULATED = (
         _TESTS,
     ),
     off(
-        "the order is not asked for",
+        "the policy's order of alternatives off",
         f"{EXACT}.decision_kernels",
         "replace",
         "_[0] > 0 and _[0] >= 0",
@@ -228,7 +228,7 @@ SIMULATED = (
         _TESTS,
     ),
     off(
-        "futures without routes",
+        "copies of routes in futures off",
         f"{EXACT}.traffic",
         "_copy_more",
         "(_[_, _, 0], _[_, _, 1])",
@@ -236,7 +236,7 @@ SIMULATED = (
         _NETWORKS,
     ),
     off(
-        "every lane is where a road ends",
+        "position check at the end of a road off",
         "dynamics.road_networks.simulation.frame_kernels",
         "on_way",
         "_[_, _] != 0 and _(_, _, _)",
@@ -252,7 +252,7 @@ SIMULATED = (
         _NETWORKS,
     ),
     off(
-        "nobody yields",
+        "yielding at crossings off",
         "dynamics.road_networks.simulation.frame_kernels",
         "compute_controls",
         "_ > 0",
@@ -260,7 +260,7 @@ SIMULATED = (
         _TRAFFIC,
     ),
     off(
-        "who has left stays",
+        "removal of leaving vehicles off",
         "dynamics.road_networks.simulation.frame_kernels",
         "compute_controls",
         "_(_, _, _)",
@@ -269,7 +269,7 @@ SIMULATED = (
         which=1,
     ),
     off(
-        "the one of higher priority yields",
+        "yielding to the higher priority off",
         "dynamics.road_networks.traffic.regulation",
         "_yielding_vehicle",
         "_ if _ > _ else _",
@@ -277,7 +277,7 @@ SIMULATED = (
         _TRAFFIC,
     ),
     off(
-        "a frame of an input may be inside the buffer",
+        "clearance of the input's frame off",
         f"{EXACT}.input_verification",
         "_after",
         "_(_, 0, _, _, _)",
@@ -285,7 +285,7 @@ SIMULATED = (
         _INPUTS,
     ),
     off(
-        "an input may leave the road",
+        "check that an input stays on the road off",
         f"{EXACT}.input_verification",
         "_after",
         "_[0, _, _] != 0 or not _",
@@ -293,7 +293,7 @@ SIMULATED = (
         _INPUTS,
     ),
     off(
-        "whether the law can go on does not matter",
+        "check of the backup controller after an input off",
         f"{EXACT}.input_verification",
         "_goes_on",
         "if _ >= 0:",
@@ -301,7 +301,7 @@ SIMULATED = (
         _INPUTS,
     ),
     off(
-        "the law is forgotten between decisions",
+        "backup controller state between decisions off",
         "shield.filters.simulated.inputs",
         "SimulatedInputFilter._read",
         "_ is not None",
@@ -309,7 +309,7 @@ SIMULATED = (
         _INPUTS,
     ),
     off(
-        "a plan for another scene is kept",
+        "clearing of the stored plan after a mismatch off",
         "shield.filters.simulated.inputs",
         "SimulatedInputFilter._read",
         "_[:] = 0",
@@ -317,7 +317,7 @@ SIMULATED = (
         _INPUTS,
     ),
     off(
-        "nobody looks between two decisions",
+        "comparison with the prediction between decisions off",
         "shield.filters.simulated.predicted_scene",
         "PredictedScene.is_as_predicted",
         "bool((_(_(_) - _) <= _)._())",
@@ -325,7 +325,7 @@ SIMULATED = (
         _INPUTS,
     ),
     off(
-        "the wheel is straight in what others foresee",
+        "steering in the others' prediction of the ego off",
         "dynamics.road_networks.traffic.regulation",
         "regulate",
         "_[_, _] == _",
@@ -334,7 +334,7 @@ SIMULATED = (
         which=2,
     ),
     off(
-        "an ally's buffer is its own business",
+        "clearance between egos off",
         f"{EXACT}.search",
         "finish_action",
         "_ = min(_, _(_, _, _[_], _, _))",
@@ -342,7 +342,7 @@ SIMULATED = (
         _TEAM,
     ),
     off(
-        "allies stay as they are",
+        "actions of the other egos off",
         f"{EXACT}.traffic",
         "_start_network",
         "_(_, _, _, _, _[_], _[_, _])",
@@ -351,7 +351,7 @@ SIMULATED = (
         which=1,
     ),
     off(
-        "nobody is told what the one before was given",
+        "earlier egos' decisions off",
         "shield.filters.simulated.multi_agent",
         "MultiAgentFilter._one_by_one",
         "_[_, 0] = _[-1]._",

@@ -17,7 +17,7 @@ _GRIDS, _CELLS = "shield.perception.grid_perception", "shield.perception.grid_si
 
 SOURCES = (
     off(
-        "an ego that went astray is followed all the same",
+        "check of an ego away from its prediction off",
         _BLIND,
         "EnvironmentFreeScenes._strays",
         "bool((_ > _)._())",
@@ -25,7 +25,7 @@ SOURCES = (
         f"{_SOURCES}::test_an_ego_that_did_not_execute_its_action_is_detected",
     ),
     off(
-        "what was told is forgotten where nothing is seen",
+        "told actions without a scene off",
         _BLIND,
         "EnvironmentFreeScenes.tell",
         "_() if _ is None else _",
@@ -33,7 +33,7 @@ SOURCES = (
         f"{_SOURCES}::test_the_target_command_is_known_after_an_unreadable_observation",
     ),
     off(
-        "what was clipped is taken for what was there",
+        "correction of clipped values off",
         _UNDOING,
         "undo_vec_wrappers",
         "_[_] = _",
@@ -41,7 +41,7 @@ SOURCES = (
         f"{_LAYERS}::test_a_value_clipped_by_normalisation_is_unknown",
     ),
     off(
-        "any wrapper may stand between",
+        "check of wrappers off",
         _UNDOING,
         "check_wrappers",
         "_ not in _",
@@ -49,7 +49,7 @@ SOURCES = (
         f"{_LAYERS}::test_wrappers_that_cannot_be_undone_are_refused",
     ),
     off(
-        "numbers of any shape are read",
+        "check of the observation's shape off",
         _SIGHTING,
         "numbers_of",
         "_ not in (_, (_(_),))",
@@ -57,7 +57,7 @@ SOURCES = (
         f"{_UNREADABLE}::test_an_unreadable_observation_leads_to_the_labelled_fallback",
     ),
     off(
-        "a body is in the middle of its cell",
+        "offset of a body within its cell off",
         _GRIDS,
         "GridPerception._bodies",
         "_ + (_ - _)[:, :2]",
@@ -65,7 +65,7 @@ SOURCES = (
         f"{_GRID}::test_true_bodies_are_inside_those_of_the_scene",
     ),
     off(
-        "a cell hides nobody",
+        "vehicles hidden in a shared cell off",
         _GRIDS,
         "GridPerception._hidden",
         "not _",
@@ -73,7 +73,7 @@ SOURCES = (
         f"{_GRID}::test_a_cell_of_two_lanes_may_hide_a_vehicle",
     ),
     off(
-        "beyond the grid nobody is",
+        "vehicles beyond the grid off",
         _GRIDS,
         "GridPerception.see",
         "_(_, _[0], _, _, _, _(_))",
@@ -81,7 +81,7 @@ SOURCES = (
         f"{_GRID}::test_a_slow_vehicle_is_assumed_beyond_the_grid",
     ),
     off(
-        "of two who may be the same one is",
+        "ambiguous matches of cells off",
         _GRIDS,
         "GridPerception._take_in",
         "_ & (_(_=0) == 1)",
@@ -89,7 +89,7 @@ SOURCES = (
         f"{_GRID}::test_ambiguous_vehicles_get_new_identities",
     ),
     off(
-        "who is too fast for the range is at its edge",
+        "clipped speeds as unbounded off",
         _CELLS,
         "decode_grid",
         "_ |= _",
@@ -97,7 +97,7 @@ SOURCES = (
         f"{_GRID}::test_a_vehicle_too_fast_for_the_range_may_be_anywhere",
     ),
     off(
-        "a grid along the ego is taken to lie along the road",
+        "rotation of a grid aligned with the ego off",
         _CELLS,
         "decode_grid",
         "_ if _ else 0.0",

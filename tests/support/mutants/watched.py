@@ -34,7 +34,7 @@ WATCHED = (
         "alarm",
     ),
     off(
-        "whoever owes the ego its distance may come beside it",
+        "monitor of obliged vehicles that come beside the ego off",
         MONITOR,
         "update_obligations",
         "_[_] |= _",
@@ -42,7 +42,7 @@ WATCHED = (
         "comes beside",
     ),
     off(
-        "nobody is forgiven",
+        "clearing of violations off",
         DECIDE,
         "_decided",
         "_() if _ else _",
@@ -51,7 +51,7 @@ WATCHED = (
         "forgiven[ContinuousCore]",
     ),
     off(
-        "forgiven without a plan that clears everybody",
+        "clearing of violations only by a plan that clears all vehicles off",
         DECIDE,
         "_decided",
         "_() if _ else _",
@@ -59,7 +59,7 @@ WATCHED = (
         "alarm",
     ),
     off(
-        "an instant seen twice is two",
+        "check for the same scene twice off",
         MEMORY,
         "observe",
         "_ is not None and _ is not None and (_ == _)",
@@ -67,7 +67,7 @@ WATCHED = (
         "twice",
     ),
     off(
-        "more room is never too much",
+        "judgement of vehicles that take more room off",
         MONITOR,
         "RoadMonitor.next",
         "if _:",
@@ -76,7 +76,7 @@ WATCHED = (
         which=2,
     ),
     off(
-        "SPEED off",
+        "rule SPEED off",
         PERMITS,
         "check_motions",
         "_ |= _",
@@ -85,7 +85,7 @@ WATCHED = (
         which=2,
     ),
     off(
-        "WAY off",
+        "rule WAY off",
         PERMITS,
         "check_motions",
         "_ or _ or (not abs(_) <= abs(_) * _ + _)",
@@ -93,7 +93,7 @@ WATCHED = (
         TESTS_OF_PERMITS,
     ),
     off(
-        "a heading against the way off",
+        "rule on a heading against the way off",
         PERMITS,
         "check_motions",
         "_ |= _",
@@ -103,7 +103,7 @@ WATCHED = (
         reads="_WAY",
     ),
     off(
-        "a vehicle that cannot be read breaks no rule",
+        "violation by an unreadable vehicle off",
         DECIDE,
         "decide",
         "_ is _",
@@ -111,7 +111,7 @@ WATCHED = (
         "tests/shield/certificate/road/test_unreadable_vehicles.py",
     ),
     off(
-        "what turning may cost off",
+        "limit of turning allowances off",
         PERMITS,
         "check_motions",
         "not min(_[_], _[_]) >= -_",
@@ -119,7 +119,7 @@ WATCHED = (
         TESTS_OF_PERMITS,
     ),
     off(
-        "a second of turning costs what it likes",
+        "limit of turning in a second off",
         BODIES,
         "update_turning_allowances",
         "_ > _ * _",
@@ -127,7 +127,7 @@ WATCHED = (
         TESTS_OF_PERMITS,
     ),
     off(
-        "BRAKING off",
+        "rule BRAKING off",
         PERMITS,
         "check_motions",
         "_ |= _",
@@ -137,7 +137,7 @@ WATCHED = (
         reads="_BRAKING",
     ),
     off(
-        "one who brakes hard for nothing is not noticed",
+        "rule on unprovoked hard braking off",
         PERMITS,
         "check_motions",
         "not _ - _ <= (_ + _) * _ / _",
@@ -145,7 +145,7 @@ WATCHED = (
         TESTS_OF_PERMITS,
     ),
     off(
-        "one who may brake harder than before is not noticed",
+        "rule on an increased braking bound off",
         PERMITS,
         "check_motions",
         "_ or _[_, _] > _[_, _ + _] + _",
@@ -153,7 +153,7 @@ WATCHED = (
         TESTS_OF_PERMITS,
     ),
     off(
-        "nobody ahead asks for braking",
+        "braking for leaders off",
         REACTION,
         "_raise_braking",
         "max(_[_], _)",
@@ -161,7 +161,7 @@ WATCHED = (
         TESTS_OF_REACTION,
     ),
     off(
-        "what asks for some braking is dropped with what asks for none",
+        "threshold of required braking off",
         REACTION,
         "_surely_less",
         "_ - _",
@@ -170,7 +170,7 @@ WATCHED = (
         which=2,
     ),
     off(
-        "nobody moves in ahead",
+        "braking for vehicles that move in ahead off",
         REACTION,
         "_raise_braking",
         "range(_, _)",
@@ -179,7 +179,7 @@ WATCHED = (
         which=1,
     ),
     off(
-        "one from two lanes over looks out for everybody",
+        "lane limit of braking for others off",
         REACTION,
         "_raise_braking",
         "_ > 0 or _(_, _ - _[_, _], _)",
@@ -187,7 +187,7 @@ WATCHED = (
         TESTS_OF_REACTION,
     ),
     off(
-        "the ego is braked for by nobody",
+        "braking for the ego off",
         REACTION,
         "hardest_braking",
         "_ > 0 or _[_, _] > 0",
@@ -195,7 +195,7 @@ WATCHED = (
         TESTS_OF_REACTION,
     ),
     off(
-        "LANES off",
+        "rule LANES off",
         PERMITS,
         "check_motions",
         "_ |= _",
@@ -205,7 +205,7 @@ WATCHED = (
         reads="_LANES",
     ),
     off(
-        "REVERSING off",
+        "rule REVERSING off",
         PERMITS,
         "check_motions",
         "_ |= _",
@@ -215,7 +215,7 @@ WATCHED = (
         reads="_REVERSING",
     ),
     off(
-        "DISTANCE off",
+        "rule DISTANCE off",
         PERMITS,
         "check_motions",
         "_ |= _",
@@ -225,7 +225,7 @@ WATCHED = (
         reads="_DISTANCE",
     ),
     off(
-        "a follower that leaves the place where the ego stops is left out still",
+        "return of a follower that leaves the ego's stop off",
         DUTIES,
         "mark_relied_on",
         "_ and _[1][_] and _[_] and _",
@@ -233,7 +233,7 @@ WATCHED = (
         f"{_ASIDE}::test_a_follower_that_leaves_its_lane_and_spoils_the_plan_is_a_violator",
     ),
     off(
-        "a follower that may join the lane that the plan enters is not counted on",
+        "reliance on a follower that may join the entered lane off",
         DUTIES,
         "mark_relied_on",
         "_[1] >= 0 or _[_[0], _] or (_ < _ and _ > _)",
@@ -241,7 +241,7 @@ WATCHED = (
         f"{_ASIDE}::test_a_vehicle_that_turns_beside_the_entered_lane_and_spoils_the_plan_is_a_violator",
     ),
     off(
-        "SIZE off",
+        "rule SIZE off",
         PERMITS,
         "check_motions",
         "_ |= _",
@@ -251,7 +251,7 @@ WATCHED = (
         reads="_SIZE",
     ),
     off(
-        "APPEARED off",
+        "rule APPEARED off",
         MONITOR,
         "appeared",
         "(_, 0) if _ else (0, _)",
@@ -259,7 +259,7 @@ WATCHED = (
         "tests/shield/certificate/road/test_identity.py",
     ),
     off(
-        "what is in the way now is not looked at",
+        "check of vehicles that touch the buffer now off",
         MONITOR,
         "RoadMonitor.next",
         "_(_, _, _, _, _)",
@@ -268,7 +268,7 @@ WATCHED = (
         which=4,
     ),
     off(
-        "a wreck brakes as hard as it likes",
+        "braking bound of wrecks off",
         PERMITS,
         "check_motions",
         "max((_ - _) / _ + _, _)",
@@ -276,7 +276,7 @@ WATCHED = (
         "tests/shield/certificate/road/test_wrecks.py",
     ),
     off(
-        "the last frame is not judged",
+        "monitor of the last frame off",
         "shield.wrappers.shielded_env",
         "ShieldedEnv.step",
         "if _:",
@@ -285,7 +285,7 @@ WATCHED = (
         which=2,
     ),
     off(
-        "CRASH off",
+        "rule CRASH off",
         PERMITS,
         "check_motions",
         "_ |= _",
@@ -325,7 +325,7 @@ WATCHED = (
         which=3,
     ),
     off(
-        "what does not verify is stored",
+        "refusal to store unverified plans off",
         DECIDE,
         "_decided",
         "None if _ is _ else _",

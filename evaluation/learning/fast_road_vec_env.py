@@ -7,6 +7,7 @@ from typing import Any
 
 from dynamics.road_networks.episodes.info import info_of
 from dynamics.road_networks.episodes.simulator import RoadSimulator
+from dynamics.world_model import FrameView
 from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 from shield.errors import MissingAttributeError
 
@@ -22,6 +23,7 @@ class FastRoadVecEnv(FastHighwayVecEnv):
     Parameters
     ----------
     num_envs, env_id, config, threads : as in `dynamics.road_networks.episodes.simulator.RoadSimulator`.
+    frames : as in `FastHighwayVecEnv`.
 
     Raises
     ------
@@ -42,8 +44,9 @@ class FastRoadVecEnv(FastHighwayVecEnv):
         env_id: str = "merge-v0",
         config: Mapping[str, Any] | None = None,
         threads: int = 1,
+        frames: FrameView | None = None,
     ) -> None:
-        super().__init__(num_envs, env_id, config, threads)
+        super().__init__(num_envs, env_id, config, threads, frames)
 
     def _made(self, num_envs: int, env_id: str, config: Mapping[str, Any] | None, threads: int) -> RoadSimulator:
         return RoadSimulator(env_id, num_envs, config, threads)

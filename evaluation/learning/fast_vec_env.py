@@ -15,6 +15,8 @@ from dynamics.highway_simulator.scenario import REWARDS
 from dynamics.highway_simulator.simulator import Simulator
 from dynamics.scenes.registration import spec_of
 from dynamics.state import IntArray
+from dynamics.traffic.crossing import make
+from dynamics.world_model import BirdsEye, FrameView
 from shield.errors import ConfigError, MissingAttributeError
 
 __all__ = ["FastHighwayVecEnv"]
@@ -33,6 +35,7 @@ class FastHighwayVecEnv(VecEnv):
     Parameters
     ----------
     num_envs, env_id, config, threads : as in `dynamics.highway_simulator.simulator.Simulator`.
+    frames : observe bird's-eye frames of this view, uint8, instead of the configured observation.
 
     Raises
     ------
@@ -52,16 +55,23 @@ class FastHighwayVecEnv(VecEnv):
         env_id: str = "highway-fast-v0",
         config: Mapping[str, Any] | None = None,
         threads: int = 1,
+        frames: FrameView | None = None,
     ) -> None:
         self.simulator = self._made(num_envs, env_id, config, threads)
-        scenario = self.simulator.scenario
+        scenario, space = self.simulator.scenario, self.simulator.scenario.observation_space
+        self._birds_eye: BirdsEye | None = None
+        if frames is not None:
+            self._birds_eye = BirdsEye(frames)
+            space = self._birds_eye.space
+            self._network = _network_of(env_id, config)
+            self._pictures = np.zeros((num_envs, *frames.shape), np.uint8)
         self.env_id, self.config, self.spec = env_id, dict(scenario.config), spec_of(env_id)
         self.render_mode = None
         self._actions: Any = None
         self._returns = np.zeros(num_envs)
         self._lengths = np.zeros(num_envs, np.int64)
         self._start = time.time()
-        super().__init__(num_envs, scenario.observation_space, scenario.action_space)
+        super().__init__(num_envs, space, scenario.action_space)
 
     def _made(self, num_envs: int, env_id: str, config: Mapping[str, Any] | None, threads: int) -> Any:
         """The simulator of the environments."""
@@ -72,8 +82,13 @@ class FastHighwayVecEnv(VecEnv):
         return self.simulator.reset(seeds)
 
     def _stepped(self, which: IntArray) -> Any:
-        """Step these environments, with a reset after an end: observations, rewards, terminated, truncated."""
-        return self.simulator.step(self._actions, again=True, which=which)
+        """Step these environments: observations, rewards, terminated, truncated. An episode that ends is followed by
+        the next one, unless frames are observed."""
+        return self.simulator.step(self._actions, again=self._birds_eye is None, which=which)
+
+    def _begin_again(self, which: IntArray) -> None:
+        """Start new episodes in these environments."""
+        self.simulator.reset(which=which)
 
     def reset(self) -> Any:
         """Start all episodes, with the seeds of `seed()` the first time."""
@@ -82,6 +97,8 @@ class FastHighwayVecEnv(VecEnv):
             observations = self._begin(None)
         else:
             observations = self._begin([int(seed or 0) for seed in seeds])
+        if self._birds_eye is not None:
+            observations = self._birds_eye.frames(self.simulator, self._network, self._pictures)
         self._reset_seeds()
         self._reset_options()
         self._returns[:], self._lengths[:] = 0.0, 0
@@ -120,7 +137,20 @@ class FastHighwayVecEnv(VecEnv):
         self._lengths[which] += 1
         infos = self._infos(terminated & done, done, stepped)
         self._returns[done], self._lengths[done] = 0.0, 0
+        if self._birds_eye is not None:
+            observations = self._frames_after(self._birds_eye, which, np.flatnonzero(done), infos)
         return observations.copy(), reward.astype(np.float32), done, infos
+
+    def _frames_after(self, draws: BirdsEye, which: IntArray, ended: IntArray, infos: list[dict[str, Any]]) -> Any:
+        """Frames after a step, with new episodes after those that ended, whose last frames become the
+        `terminal_observation` of their infos."""
+        frames = draws.frames(self.simulator, self._network, self._pictures, which)
+        for i in ended:
+            infos[i]["terminal_observation"] = frames[i].copy()
+        if len(ended):
+            self._begin_again(ended)
+            draws.frames(self.simulator, self._network, frames, ended)
+        return frames
 
     def _infos(self, terminated: Any, done: Any, stepped: Any) -> list[dict[str, Any]]:
         """Infos of each environment; `stepped` marks those that made the last step."""
@@ -176,3 +206,14 @@ class FastHighwayVecEnv(VecEnv):
 
     def _indices(self, indices: Any) -> Iterable[int]:
         return self._get_indices(indices)
+
+
+def _network_of(env_id: str, config: Mapping[str, Any] | None) -> Any:
+    """The `RoadNetwork` of an environment."""
+    env = make(env_id, dict(config or {}))
+    try:
+        env.reset(seed=0)
+        base: Any = env.unwrapped
+        return base.road.network
+    finally:
+        env.close()

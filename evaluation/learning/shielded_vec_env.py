@@ -12,6 +12,7 @@ import numpy as np
 
 from dynamics.highway_simulator.simulator import Simulator
 from dynamics.state import BoolArray, IntArray
+from dynamics.world_model import FrameView
 from evaluation.learning.fast_vec_env import FastHighwayVecEnv
 from shield.batch.codes import FALLBACKS, OVERRIDES, REASONS, TIERS, certified, rules_in
 from shield.certificate.simulated.batch_choice import highways_for
@@ -39,6 +40,7 @@ class ShieldedVecEnv(FastHighwayVecEnv):
     num_envs, env_id, config, threads : as in `FastHighwayVecEnv`.
     shield : settings, or the path of a TOML file with them (see `ShieldedHighways`, and `SimulatedHighways` for
         simulated traffic).
+    frames : as in `FastHighwayVecEnv`.
 
     Raises
     ------
@@ -74,11 +76,12 @@ class ShieldedVecEnv(FastHighwayVecEnv):
         config: Mapping[str, Any] | None = None,
         shield: ShieldConfig | str | Path | None = None,
         threads: int = 1,
+        frames: FrameView | None = None,
     ) -> None:
         self._shield = ShieldConfig.of(shield)
         self.latency = 0.0
         self._episodes = [Statistics() for _ in range(num_envs)]
-        super().__init__(num_envs, env_id, config, threads)
+        super().__init__(num_envs, env_id, config, threads, frames)
 
     def _made(self, num_envs: int, env_id: str, config: Mapping[str, Any] | None, threads: int) -> Simulator:
         kind = highways_for(self._shield)
@@ -92,9 +95,12 @@ class ShieldedVecEnv(FastHighwayVecEnv):
 
     def _stepped(self, which: IntArray) -> Any:
         start = perf_counter()
-        stepped = self.highways.step(self._actions, again=True, which=which)
+        stepped = self.highways.step(self._actions, again=self._birds_eye is None, which=which)
         self.latency = (perf_counter() - start) / max(len(which), 1)
         return stepped
+
+    def _begin_again(self, which: IntArray) -> None:
+        self.highways.reset(which=which.tolist())
 
     def action_masks(self) -> BoolArray:
         """Mask of verified actions in each environment, (num_envs, actions), as in `ShieldedEnv.action_masks`.

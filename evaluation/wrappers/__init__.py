@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from evaluation.wrappers.birds_eye_view import BirdsEyeView
 from evaluation.wrappers.channels import Confidence, Intent, TrackedConfidence, seen_through
 from evaluation.wrappers.hanoi_reward import HanoiWeights, HanoiWorldReward
 from evaluation.wrappers.off_road import OffRoadWrapper
@@ -17,6 +18,7 @@ from evaluation.wrappers.throttle_and_steering import ThrottleAndSteering
 __all__ = [
     "REPORT_SKILLS",
     "SENSORS",
+    "BirdsEyeView",
     "Confidence",
     "HanoiWeights",
     "HanoiWorldReward",

@@ -49,7 +49,9 @@ def test_other_environments_are_refused() -> None:
         BirdsEyeView(gym.make("CartPole-v1"))
 
 
-@pytest.mark.parametrize(("kind", "env_id"), [(FastHighwayVecEnv, "highway-fast-v0"), (FastRoadVecEnv, "roundabout-v0")])
+@pytest.mark.parametrize(
+    ("kind", "env_id"), [(FastHighwayVecEnv, "highway-fast-v0"), (FastRoadVecEnv, "roundabout-v0")]
+)
 def test_frames_change_no_episode_and_end_with_the_last_one(kind: Any, env_id: str) -> None:
     """The same rewards and ends as without frames; a new episode begins after an end, and the terminal frame is the one
     before it."""

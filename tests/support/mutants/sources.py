@@ -25,7 +25,7 @@ SOURCES = (
         f"{_SOURCES}::test_an_ego_that_did_not_execute_its_action_is_detected",
     ),
     off(
-        "told actions without a scene off",
+        "record of actions without a scene off",
         _BLIND,
         "EnvironmentFreeScenes.tell",
         "_() if _ is None else _",

@@ -19,6 +19,7 @@ __all__ = [
     "apart",
     "front_of",
     "fronts",
+    "lap_distance",
     "least_next_position",
     "least_rest_positions",
     "rear_of",
@@ -110,6 +111,14 @@ def touched_lanes(
         reach[i] = shape[2] + along
 
 
+@kernel_inline
+def lap_distance(distance: float, lap: float) -> float:
+    """The distance the shorter way round a closed road of length `lap`, unchanged on an open one (0) [m]."""
+    if lap > 0:
+        distance -= lap * np.rint(distance / lap)
+    return distance
+
+
 @kernel_no_refcount
 def update_turning_allowances(
     states0: FloatArray,
@@ -133,9 +142,7 @@ def update_turning_allowances(
     for i in range(states.shape[0]):
         v, swing, lost = states0[i, 3], swings[i], 0.0
         if v >= motion.slow:
-            ds = states[i, 0] - states0[i, 0]
-            if lap > 0:
-                ds -= lap * np.rint(ds / lap)
+            ds = lap_distance(states[i, 0] - states0[i, 0], lap)
             # In metres driven, as are the bounds; `stretch` converts metres of s.
             lost = max(v * motion.dt - (ds / stretch[0, i] if stretch.shape[1] > 0 else ds), 0.0)
         budget, action = motion.loss_back * motion.dt, motion.action_back * motion.dt

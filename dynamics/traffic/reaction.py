@@ -23,8 +23,8 @@ import numpy as np
 from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.state import FloatArray, IntArray, Vehicle
 from dynamics.traffic.mobil import COMFORT, GAP, IMPOSED, TIME, TWICE_ROOT, desired_gap
-from dynamics.traffic.occupancy_kernels import apart
-from dynamics.traffic.tables import Motion, VehicleBodies
+from dynamics.traffic.occupancy_kernels import apart, lap_distance
+from dynamics.traffic.tables import Bodies, Motion, VehicleBodies
 
 __all__ = ["LapPosition", "ReactionWork", "hardest_braking"]
 
@@ -248,6 +248,30 @@ def _extremes(
                 slowest_way[k, i] = min(slowest_way[k, i] * least, slowest_way[k, i] * most)
 
 
+@kernel_inline
+def _fill(brakes: FloatArray, first: int, rate: float) -> None:
+    """Let a vehicle brake at `rate` [m/s^2] from frame `first` on."""
+    for k in range(first, brakes.shape[0]):
+        brakes[k] = rate
+
+
+@kernel_inline
+def _greatest(numbers: FloatArray, m: int) -> float:
+    """The greatest of the first m numbers, at least 0; inf if one is NaN."""
+    greatest = 0.0
+    for j in range(m):
+        greatest = max(greatest, numbers[j]) if numbers[j] == numbers[j] else np.inf
+    return greatest
+
+
+@kernel_inline
+def _first_frame_ahead(i: int, j: int, states: FloatArray, bodies: Bodies, dt: float) -> int:
+    """The first frame at which vehicle j may move in ahead of vehicle i; -1 if it is in the lanes of i already."""
+    if not apart(bodies.first, bodies.last, bodies.low, bodies.high, i, j):
+        return -1
+    return max(int((abs(states[j, 1] - states[i, 1]) - _LANE) / (_TOWARDS * dt)), 0)
+
+
 @kernel_no_refcount
 def hardest_braking(
     vehicles: VehicleBodies, stretch: FloatArray, motion: Motion, place: LapPosition, work: ReactionWork
@@ -264,35 +288,25 @@ def hardest_braking(
     curved, all_brakes, budget = stretch.shape[1] > 0, bodies.brakes, bodies.budget
     if not motion.comfortable_braking < motion.braking:
         for i in range(m):
-            for k in range(frames):
-                all_brakes[i, k] = motion.braking
+            _fill(all_brakes[i], 0, motion.braking)
         return
-    low, high, starts, ends = bodies.low, bodies.high, bodies.first, bodies.last
     x, back = _Extremes(ways[0], ways[1], ways[2], ways[3], ways[4], ways[5]), motion.loss_back * motion.dt
     _extremes(others, states, stretch, motion, frames, ways)
     gets, slows, goes = x.fast_way[last], x.slow[last], x.slow_way[last]
-    furthest = 0.0
-    for j in range(m):
-        furthest = max(furthest, gets[j]) if gets[j] == gets[j] else np.inf
+    furthest = _greatest(gets, m)
     for n in range(m):
         i, end = order[n], frames
-        behind, brakes = place.ego - states[i, 0], all_brakes[i]
-        if lap > 0:
-            behind -= lap * np.rint(behind / lap)
+        behind, brakes = lap_distance(place.ego - states[i, 0], lap), all_brakes[i]
         if behind > 0 or others[i, _CRASHED] > 0:
-            for k in range(frames):
-                brakes[k] = motion.braking
+            _fill(brakes, 0, motion.braking)
             continue
-        for k in range(frames):
-            brakes[k] = motion.comfortable_braking
+        _fill(brakes, 0, motion.comfortable_braking)
         least, most, fast = x.slowest_way[last, i], gets[i], x.fast[last, i]
         # The nearest first: once the vehicle may brake at `Motion.braking` at an earlier frame, fewer frames of the
         # others count.
         for other in range(m):
             j = order[n - 1 - other] if other < n else order[other]
-            ahead = states[j, 0] - states[i, 0]
-            if lap > 0:
-                ahead -= lap * np.rint(ahead / lap)
+            ahead = lap_distance(states[j, 0] - states[i, 0], lap)
             if other >= n and lap == 0 and ahead + furthest - least <= 0:
                 break  # nor do vehicles further behind get ahead
             if i == j or not abs(ahead) <= _FAR:
@@ -307,15 +321,12 @@ def hardest_braking(
             d = near + goes[j] - most - back * last
             if not _requires_braking(min(near, d), fast, slows[j], motion):
                 continue  # it requires nothing
-            first = -1
-            if apart(starts, ends, low, high, i, j):
-                first = max(int((abs(states[j, 1] - states[i, 1]) - _LANE) / (_TOWARDS * motion.dt)), 0)
+            first = _first_frame_ahead(i, j, states, bodies, motion.dt)
             if first < end and (first >= 0 or ahead >= 0):
                 end = _raise_braking(_Pair(i, j, ahead, near, first), x, motion, brakes, end)
                 if end == 1 and brakes[0] >= motion.braking:
                     break
-        for k in range(end, frames):
-            brakes[k] = motion.braking
+        _fill(brakes, end, motion.braking)
         # The vehicles behind take these speeds as those of their leader.
         v, shortest, longest = states[i, 3], stretch[0, i] if curved else 1.0, stretch[1, i] if curved else 1.0
         speeds, way = x.slow[:frames, i], x.slow_way[:frames, i]

@@ -42,8 +42,8 @@ from dynamics.compiled import kernel_inline, kernel_no_refcount, row_as_tuple
 from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
 from dynamics.traffic.assumptions import Assumptions
 from dynamics.traffic.occupancy import OtherVehicles
-from dynamics.traffic.occupancy_kernels import least_next_position
-from dynamics.traffic.tables import VehicleTables, bodies_in, motion_of
+from dynamics.traffic.occupancy_kernels import lap_distance, least_next_position
+from dynamics.traffic.tables import Bodies, Motion, VehicleTables, bodies_in, motion_of
 
 __all__ = [
     "EgoFootprint",
@@ -191,6 +191,109 @@ def gap_between(ego: EgoFootprint, along: float, across: float, rows: FloatArray
     return max(max(mine, beside), max(theirs, by))
 
 
+class _Progress(NamedTuple):
+    """Motion of one vehicle in a frame.
+
+    Attributes
+    ----------
+    v0, v : speed before and now [m/s]. ds, dr : displacement along and across the road [m].
+    wrecked : whether the vehicle had crashed before.
+    """
+
+    v0: float
+    v: float
+    ds: float
+    dr: float
+    wrecked: bool
+
+
+@kernel_inline
+def _breaks_speed(limits: _Limits, it: _Progress) -> bool:
+    """Rule 1, *speed*."""
+    rate, hardest = (it.v - it.v0) / limits.period, limits.braking
+    if it.wrecked:
+        slowest, dt = it.v0, limits.period / limits.frames
+        for _ in range(int(limits.frames)):
+            slowest -= max(limits.braking, slowest) * dt
+        hardest = max((it.v0 - slowest) / limits.period + _ROUNDING, limits.braking)
+    sped = not it.v <= max(it.v0, limits.fastest) + _ROUNDING or not it.v >= -limits.reversing
+    most_rate = min(limits.acceleration, limits.power / max(it.v0, 1e-3) + _ROUNDING)
+    return sped or not (-hardest <= rate <= most_rate)
+
+
+@kernel_inline
+def _breaks_way(limits: _Limits, it: _Progress, most: float, budget: float, action: float) -> bool:
+    """Rule 2, *way*: the displacement, and what turning takes.
+
+    Parameters
+    ----------
+    most : greatest metres of s in a metre driven. budget, action : turning allowances that are left.
+    """
+    way = it.v0 * limits.period
+    back = not it.ds >= min(way, 0.0) * most - _ROUNDING
+    ahead = not it.ds <= max(way, 0.0) * most + _ROUNDING
+    if back or ahead or not abs(it.dr) <= abs(way) * _SIDEWAYS + _ROUNDING:
+        return True
+    return not min(budget, action) >= -_ROUNDING
+
+
+@kernel_inline
+def _heads_off(i: int, states: FloatArray, stretch: FloatArray, motion: Motion, bodies: Bodies) -> bool:
+    """Rule 2, *way*, for the heading of vehicle i: whether it takes more from the coming frame's distance than turning
+    may. highway-env tests for crashes with the positions that constant velocity along the heading gives in that
+    frame."""
+    v = states[i, 3]
+    coming = v * math.cos(states[i, 2]) * motion.dt
+    if (1 - _STRAIGHT) * v * motion.dt <= coming <= max(v, 0.0) * motion.dt:
+        return False
+    forth = coming <= max(v, 0.0) * motion.dt + _ROUNDING
+    if stretch.shape[1] > 0:
+        coming = min(coming * stretch[0, i], coming * stretch[1, i])
+    least = least_next_position(i, states, stretch, motion, bodies) - _ROUNDING
+    return not (forth and states[i, 0] + coming >= least)
+
+
+@kernel_inline
+def _touches_more(i: int, before: Bodies, now: Bodies) -> bool:
+    """Rule 3, *lanes*: whether vehicle i may reach further across the road than before."""
+    return not (now.low[i] >= before.low[i] - _ROUNDING and now.high[i] <= before.high[i] + _ROUNDING)
+
+
+@kernel_inline
+def _comes_beside(i: int, rows: FloatArray, ego: EgoFootprint, period: float) -> bool:
+    """Rule 5, *distance*, for a vehicle i that was behind the ego. highway-env tests for crashes with the positions
+    that constant velocities give in the coming frame."""
+    touches = gap_between(ego, ego.along, ego.across, rows, i, 0.0) < 0
+    return touches or gap_between(ego, ego.body_along, ego.body_across, rows, i, period) <= 0
+
+
+@kernel_inline
+def _is_pushed(i: int, rows: FloatArray, ego: EgoFootprint, wrecked: bool) -> bool:
+    """Whether highway-env may have moved vehicle i because the ego has crashed into it."""
+    pushed = ego.crashed or (ego.wrecked and wrecked)
+    return pushed and gap_between(ego, ego.body_along, ego.body_across, rows, i, 0.0) < _TOUCHING
+
+
+@kernel_inline
+def _brakes_harder(i: int, limits: _Limits, it: _Progress, brakes0: FloatArray, brakes: FloatArray) -> bool:
+    """Rule 7, *braking*: whether vehicle i has braked harder than its bound, or may brake harder than by the bound
+    before. The bounds, (m, K) each, are those before and now."""
+    frames, allowed = int(limits.frames), 0.0
+    for k in range(frames):
+        allowed += brakes0[i, k] if k < brakes0.shape[1] else limits.braking
+    harder = not it.v0 - it.v <= (allowed + _ROUNDING) * limits.period / limits.frames
+    for k in range(brakes.shape[1] - frames):
+        harder = harder or brakes[i, k] > brakes0[i, k + frames] + _ROUNDING
+    return harder
+
+
+@kernel_inline
+def _has_grown(i: int, rows0: FloatArray, rows: FloatArray) -> bool:
+    """Rule 9, *size*."""
+    longer = not rows[i, _LENGTH] <= rows0[i, _LENGTH] + _ROUNDING
+    return longer or not rows[i, _WIDTH] <= rows0[i, _WIDTH] + _ROUNDING
+
+
 @kernel_inline
 def check_motions(
     before: VehicleTables,
@@ -211,80 +314,35 @@ def check_motions(
     rows0, states0, brakes0 = before.others, before.states, before.tables.brakes
     rows, states, brakes, stretch = after.others, after.states, after.tables.brakes, bounds.stretch
     bodies0, bodies = bodies_in(before).bodies, bodies_in(after).bodies
-    broken, grown, frames = found.broken, found.grown, int(limits.frames)
-    low0, high0, floor0, low, high, floor = (
-        bodies0.low,
-        bodies0.high,
-        bodies0.floor,
-        bodies.low,
-        bodies.high,
-        bodies.floor,
-    )
-    budget, action = bodies.budget, bodies.action
     for i in range(rows.shape[0]):
-        v0, v = states0[i, 3], states[i, 3]
-        bits, more = 0, 0
-        ds, dr = states[i, 0] - states0[i, 0], states[i, 1] - states0[i, 1]
-        drop = floor0[i] - floor[i]
-        if limits.lap > 0:
-            ds -= limits.lap * np.rint(ds / limits.lap)
-            drop -= limits.lap * np.rint(drop / limits.lap)
+        bits, more, wrecked = 0, 0, rows0[i, _CRASHED] > 0
+        ds = lap_distance(states[i, 0] - states0[i, 0], limits.lap)
+        it = _Progress(states0[i, 3], states[i, 3], ds, states[i, 1] - states0[i, 1], wrecked)
         most = stretch[1, i] if stretch.shape[1] > 0 else 1.0
-        way, wrecked = v0 * limits.period, rows0[i, _CRASHED] > 0
         # A vehicle that the ego has crashed into has violated no rule by the crash.
-        pushed = ego.crashed or (ego.wrecked and wrecked)
-        pushed = pushed and gap_between(ego, ego.body_along, ego.body_across, rows, i, 0.0) < _TOUCHING
+        pushed = _is_pushed(i, rows, ego, wrecked)
         if rows[i, _CRASHED] > 0 and not wrecked and not (ego.crashed and pushed):
             bits |= _CRASH
-        rate, hardest = (v - v0) / limits.period, limits.braking
-        if wrecked:
-            slowest, dt = v0, limits.period / limits.frames
-            for _ in range(frames):
-                slowest -= max(limits.braking, slowest) * dt
-            hardest = max((v0 - slowest) / limits.period + _ROUNDING, limits.braking)
-        sped = not v <= max(v0, limits.fastest) + _ROUNDING or not v >= -limits.reversing
-        most_rate = min(limits.acceleration, limits.power / max(v0, 1e-3) + _ROUNDING)
-        if sped or not (-hardest <= rate <= most_rate):
+        if _breaks_speed(limits, it):
             bits |= _SPEED
-        if frames == 1 and not (wrecked and pushed):
-            back = not ds >= min(way, 0.0) * most - _ROUNDING
-            ahead = not ds <= max(way, 0.0) * most + _ROUNDING
-            if back or ahead or not abs(dr) <= abs(way) * _SIDEWAYS + _ROUNDING:
-                bits |= _WAY
-            if not min(budget[i], action[i]) >= -_ROUNDING:
-                bits |= _WAY
-        if behind[i]:
-            touches = gap_between(ego, ego.along, ego.across, rows, i, 0.0) < 0
-            # highway-env tests for crashes with the positions that constant velocities give in the coming frame.
-            if touches or gap_between(ego, ego.body_along, ego.body_across, rows, i, limits.period) <= 0:
-                bits |= _DISTANCE
-        # highway-env tests for crashes with the positions that constant velocity along the heading gives in the coming
-        # frame.
-        coming = v * math.cos(states[i, 2]) * motion.dt
-        if not (1 - _STRAIGHT) * v * motion.dt <= coming <= max(v, 0.0) * motion.dt:
-            forth = coming <= max(v, 0.0) * motion.dt + _ROUNDING
-            if stretch.shape[1] > 0:
-                coming = min(coming * stretch[0, i], coming * stretch[1, i])
-            least = least_next_position(i, states, stretch, motion, bodies) - _ROUNDING
-            if not (forth and states[i, 0] + coming >= least):
-                more |= _WAY
-        if not (low[i] >= low0[i] - _ROUNDING and high[i] <= high0[i] + _ROUNDING):
+        travels = limits.frames == 1 and not (wrecked and pushed)
+        if travels and _breaks_way(limits, it, most, bodies.budget[i], bodies.action[i]):
+            bits |= _WAY
+        if behind[i] and _comes_beside(i, rows, ego, limits.period):
+            bits |= _DISTANCE
+        if _heads_off(i, states, stretch, motion, bodies):
+            more |= _WAY
+        if _touches_more(i, bodies0, bodies):
             more |= _LANES
-        if not (rows[i, _LENGTH] <= rows0[i, _LENGTH] + _ROUNDING and rows[i, _WIDTH] <= rows0[i, _WIDTH] + _ROUNDING):
+        if _has_grown(i, rows0, rows):
             more |= _SIZE
-        harder = False
-        if not wrecked:
-            allowed = 0.0
-            for k in range(frames):
-                allowed += brakes0[i, k] if k < brakes0.shape[1] else limits.braking
-            harder = not v0 - v <= (allowed + _ROUNDING) * limits.period / limits.frames
-            for k in range(brakes.shape[1] - frames):
-                harder = harder or brakes[i, k] > brakes0[i, k + frames] + _ROUNDING
-            if harder:
-                more |= _BRAKING
+        harder = not wrecked and _brakes_harder(i, limits, it, brakes0, brakes)
+        if harder:
+            more |= _BRAKING
+        drop = lap_distance(bodies0.floor[i] - bodies.floor[i], limits.lap)
         if not drop <= _ROUNDING and not harder:
             more |= _REVERSING
-        broken[i], grown[i] = bits, more
+        found.broken[i], found.grown[i] = bits, more
 
 
 @lru_cache(maxsize=16)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import inf, sqrt
+from math import inf, prod, sqrt
 
 import numpy as np
 
@@ -86,8 +86,7 @@ def multilevel_splitting(
     paths : n; the first paths have the seeds from `seed` on.
     share : share of the paths that are dropped in a round, at least one path.
     seed : seed of the random choices.
-    most : number of driven paths after which no further round begins. The estimate is then that of the last level, 0 if
-        no path has reached the event.
+    most : number of driven paths after which no further round begins; the estimate is then that of the last level.
 
     Raises
     ------
@@ -110,12 +109,9 @@ def multilevel_splitting(
     """
     if paths < 2 or not 0 < share < 1:
         raise ConfigError(f"have at least 2 paths and a share between 0 and 1, not {paths} and {share}")
-    rng = np.random.default_rng([seed, 0])
-    ways = [SplitPath(seed + i) for i in range(paths)]
-    scores = _drive_checked(drive, ways)
-    count = max(1, round(share * paths))
-    evaluations, weight, spread = paths, 1.0, 0.0
-    levels, dropped = list[float](), list[int]()
+    rng, ways = np.random.default_rng([seed, 0]), [SplitPath(seed + i) for i in range(paths)]
+    scores, count = _drive_checked(drive, ways), max(1, round(share * paths))
+    evaluations, spread, levels, dropped = paths, 0.0, list[float](), list[int]()
     while True:
         reached = np.array([each.max() for each in scores])
         level = float(np.sort(reached)[count - 1])
@@ -124,30 +120,25 @@ def multilevel_splitting(
             break
         levels.append(level)
         dropped.append(len(out))
-        weight *= 1 - len(out) / paths
         if len(out) == paths:
             break
         spread += len(out) / (paths * (paths - len(out)))
-        left = np.flatnonzero(reached > level)
-        for i, parent in zip(out, rng.choice(left, len(out)), strict=True):
-            step = int(np.argmax(scores[parent] > level)) + 1
-            ways[i] = ways[parent].fork(step, int(rng.integers(2**32)))
+        for i, parent in zip(out, rng.choice(np.flatnonzero(reached > level), len(out)), strict=True):
+            ways[i] = _forked(ways[parent], scores[parent], level, rng)
         for i, found in zip(out, _drive_checked(drive, [ways[i] for i in out]), strict=True):
             scores[i] = found
         evaluations += len(out)
     within = float((reached >= event).mean())
-    probability = weight * within
+    probability = prod((1 - count / paths for count in dropped), start=1.0) * within
     variation = sqrt(spread + (1 - within) / (within * paths)) if probability > 0 else inf
     order = np.argsort(-reached, kind="stable")
-    return Split(
-        probability,
-        variation,
-        evaluations,
-        tuple(levels),
-        tuple(dropped),
-        tuple(ways[i] for i in order),
-        reached[order],
-    )
+    last = tuple(ways[i] for i in order)
+    return Split(probability, variation, evaluations, tuple(levels), tuple(dropped), last, reached[order])
+
+
+def _forked(parent: SplitPath, scores: FloatArray, level: float, rng: np.random.Generator) -> SplitPath:
+    """A copy of a path with these scores up to the first step above the level, drawn anew from there on."""
+    return parent.fork(int(np.argmax(scores > level)) + 1, int(rng.integers(2**32)))
 
 
 def _drive_checked(drive: Drive, ways: Sequence[SplitPath]) -> list[FloatArray]:

@@ -109,17 +109,14 @@ def subset_simulation(
     >>> 1e-5 < found.probability < 1e-4
     True
     """
-    chains, length = round(samples * share), round(1 / share)
-    if chains < 2 or chains * length != samples:
-        raise ConfigError(f"{samples} samples cannot be chains of {1 / share:g} each; have such as 1000 with 0.1")
+    chains, length = _chains_of(samples, share)
     if not 0 <= jumps <= dimensions:
         raise ConfigError(f"have from 0 to {dimensions} dimensions without neighbours, not {jumps}")
     rng = np.random.default_rng(seed)
     points = rng.standard_normal((samples, dimensions))
     g = _evaluate_checked(performance, points)
-    evaluations, probability, variance, step = samples, 1.0, 0.0, _FIRST_STEP
+    evaluations, probability, variance, step, taken = samples, 1.0, 0.0, _FIRST_STEP, np.nan
     levels: list[Level] = []
-    taken = np.nan
     of_chains = np.arange(samples)[None]  # in the first level each sample is a chain of one
     while True:
         order = np.argsort(g, kind="stable")
@@ -136,25 +133,59 @@ def subset_simulation(
             variation = float(np.sqrt(variance)) if probability > 0 else np.inf
             return Subset(probability, variation, evaluations, tuple(levels), points, g)
         # The best samples start the chains: they have the conditional distribution of this level already.
-        x, at = points[:chains].copy(), g[:chains].copy()
-        runs_x, runs_g, moved = [x.copy()], [at.copy()], 0
-        for _ in range(length - 1):
-            proposed = np.sqrt(1 - step**2) * x + step * rng.standard_normal(x.shape)
-            if jumps:
-                # If all dimensions jump, every move draws anew: otherwise it would change nothing.
-                kept = rng.random(chains) >= (_JUMPS if jumps < dimensions else 1.0)
-                proposed[:, :jumps] = np.where(kept[:, None], x[:, :jumps], rng.standard_normal((chains, jumps)))
-            found = _evaluate_checked(performance, proposed)
-            good = found <= bound
-            x[good], at[good] = proposed[good], found[good]
-            runs_x.append(x.copy())
-            runs_g.append(at.copy())
-            moved += int(good.sum())
-            step = float(np.clip(step * np.exp(good.mean() - _ACCEPTED), 1e-3, 1.0))
+        runs = _Chains(performance, bound, jumps, rng, step).run(points[:chains].copy(), g[:chains].copy(), length)
+        points, g, taken, step = runs
         evaluations += chains * (length - 1)
-        taken = moved / (chains * (length - 1))
-        points, g = np.concatenate(runs_x), np.concatenate(runs_g)
         of_chains = np.arange(samples).reshape(length, chains)
+
+
+def _chains_of(samples: int, share: float) -> tuple[int, int]:
+    """Number and length of the chains of a level."""
+    chains, length = round(samples * share), round(1 / share)
+    if chains < 2 or chains * length != samples:
+        raise ConfigError(f"{samples} samples cannot be chains of {1 / share:g} each; have such as 1000 with 0.1")
+    return chains, length
+
+
+@dataclass(slots=True, eq=False)
+class _Chains:
+    """Markov chains of one level.
+
+    Attributes
+    ----------
+    performance : g. bound : b. jumps : number of leading dimensions without nearness. step : s, which adapts.
+    """
+
+    performance: Performance
+    bound: float
+    jumps: int
+    rng: np.random.Generator
+    step: float
+
+    def run(self, x: FloatArray, g: FloatArray, length: int) -> tuple[FloatArray, FloatArray, float, float]:
+        """Samples of the chains from points x, (chains, d), with performance g, (chains,), both overwritten. Then the
+        acceptance rate and the last step."""
+        points, found, moved = [x.copy()], [g.copy()], 0
+        for _ in range(length - 1):
+            proposed = self._proposed(x)
+            then = _evaluate_checked(self.performance, proposed)
+            good = then <= self.bound
+            x[good], g[good] = proposed[good], then[good]
+            points.append(x.copy())
+            found.append(g.copy())
+            moved += int(good.sum())
+            self.step = float(np.clip(self.step * np.exp(good.mean() - _ACCEPTED), 1e-3, 1.0))
+        return np.concatenate(points), np.concatenate(found), moved / (len(x) * (length - 1)), self.step
+
+    def _proposed(self, x: FloatArray) -> FloatArray:
+        """Moves of the chains from points x, (chains, d)."""
+        (chains, dimensions), step, jumps = x.shape, self.step, self.jumps
+        proposed: FloatArray = np.sqrt(1 - step**2) * x + step * self.rng.standard_normal(x.shape)
+        if jumps:
+            # If all dimensions jump, every move draws anew: otherwise it would change nothing.
+            kept = self.rng.random((chains,)) >= (_JUMPS if jumps < dimensions else 1.0)
+            proposed[:, :jumps] = np.where(kept[:, None], x[:, :jumps], self.rng.standard_normal((chains, jumps)))
+        return proposed
 
 
 def _evaluate_checked(performance: Performance, points: FloatArray) -> FloatArray:

@@ -17,7 +17,6 @@ from dynamics.road_networks.simulation.ego_manoeuvres import EgoManoeuvre, EgoOn
 from dynamics.road_networks.simulation.frame_kernels import command, on_way
 from dynamics.road_networks.simulation.live import length_of_route, load_ego
 from shield.certificate.network.choice import JudgedCandidate, choose, try_candidate
-from shield.certificate.network.clearance import CLEAR
 from shield.certificate.network.late_braking import LateBraking
 from shield.certificate.network.manoeuvres import (
     TargetCommand,
@@ -30,6 +29,7 @@ from shield.certificate.network.mitigation import mitigate, without_buffer
 from shield.certificate.network.monitor import NetworkMonitor, NetworkObservation, NetworkRule, check_readable
 from shield.certificate.network.obligations import RightOfWayObligations
 from shield.certificate.network.prediction import NetworkPredictor, network_context
+from shield.certificate.network.tolerances import CLEAR
 from shield.certificate.network.workspace import NetworkPrediction, empty_rollout, prediction_of
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Source, Tier

@@ -86,7 +86,7 @@ def _pose(lanes: NetworkLanes, ways: LaneContinuations, bounds: DrivingBounds, r
     extent = extent_of(lanes, lane, LanePoint(row[0], row[1], s, r), body)
     half = max(extent.last - s, s - extent.first, body_half(lanes, lane, row, bounds))
     front, within = max(extent.last - s, body_front(row)), ways.entries[lane, 0] - TURN_IN_DISTANCE <= s
-    within = within and (s <= long or is_dead_end(ways, lane))
+    within = within and (s <= long or is_dead_end(ways.after, lane))
     return _Pose(s, r, angle, extent.low, extent.high, half, front, keep, within)
 
 

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
+from dynamics.highway_simulator.layout import LANE_LENGTH
 from dynamics.road_networks.geometry.lanes import NetworkLanes
 from dynamics.road_networks.geometry.layout import AMPLITUDE, CIRCULAR, PULSATION, RADIUS, SHAPE, SINE
 from dynamics.state import FloatArray, IntArray, Vehicle
@@ -43,6 +44,7 @@ __all__ = [
     "centred_half",
     "curvature",
     "empty_strips",
+    "end_of_lane",
     "is_dead_end",
     "steepness",
     "stopping_distance_bound",
@@ -208,9 +210,17 @@ def body_half(lanes: NetworkLanes, lane: int, row: FloatArray, bounds: DrivingBo
 
 
 @kernel_inline
-def is_dead_end(ways: LaneContinuations, lane: int) -> bool:
-    """Whether no lane continues a lane. A vehicle drives straight off its end, and s increases further."""
-    return ways.after.shape[1] == 0 or ways.after[lane, 0] < 0
+def is_dead_end(after: IntArray, lane: int) -> bool:
+    """Whether no lane continues a lane, by `LaneContinuations.after`. A vehicle drives straight off its end, and s
+    increases further."""
+    return after.shape[1] == 0 or after[lane, 0] < 0
+
+
+@kernel_inline
+def end_of_lane(rows: FloatArray, after: IntArray, lane: int) -> float:
+    """Greatest s of a place on a lane [m]: its length, `ALWAYS` for a dead end; `rows` as in `NetworkLanes`, `after` as
+    in `LaneContinuations`."""
+    return ALWAYS if is_dead_end(after, lane) else rows[lane, LANE_LENGTH]
 
 
 @kernel_inline

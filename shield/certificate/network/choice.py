@@ -9,15 +9,9 @@ import numpy as np
 from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.road_networks.simulation.ego_manoeuvres import EgoManoeuvre, EgoOnNetwork, simulate_manoeuvre
 from dynamics.state import FloatArray
-from shield.certificate.network.clearance import (
-    AFTER_REACTION,
-    ASSUMED_KEPT,
-    BRAKING_AT_ONCE,
-    CLEAR,
-    NEW_PATH_MARGIN,
-    least_separation,
-)
+from shield.certificate.network.clearance import AFTER_REACTION, ASSUMED_KEPT, BRAKING_AT_ONCE, least_separation
 from shield.certificate.network.projection import project_path
+from shield.certificate.network.tolerances import CLEAR, NEW_PATH_MARGIN
 from shield.certificate.network.workspace import CandidateRollout, EgoExtents, NetworkContext, NetworkVehicles
 
 __all__ = ["JudgedCandidate", "choose", "try_candidate", "try_with_braking"]

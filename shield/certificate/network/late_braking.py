@@ -11,9 +11,9 @@ import numpy as np
 from dynamics.road_networks.simulation.ego_manoeuvres import EgoManoeuvre, EgoOnNetwork
 from dynamics.state import FloatArray
 from shield.certificate.network.choice import try_candidate, try_with_braking
-from shield.certificate.network.clearance import CLEAR, NEW_PATH_MARGIN
 from shield.certificate.network.mitigation import without_buffer
 from shield.certificate.network.monitor import NetworkObservation
+from shield.certificate.network.tolerances import CLEAR, NEW_PATH_MARGIN
 from shield.certificate.network.workspace import (
     CandidateRollout,
     EgoExtents,

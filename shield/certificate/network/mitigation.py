@@ -7,8 +7,8 @@ import numpy as np
 from dynamics.road_networks.simulation.ego_manoeuvres import EgoOnNetwork
 from dynamics.state import FloatArray
 from shield.certificate.network.choice import JudgedCandidate, choose, try_candidate
-from shield.certificate.network.clearance import CLEAR
 from shield.certificate.network.manoeuvres import COMMITTED
+from shield.certificate.network.tolerances import CLEAR
 from shield.certificate.network.workspace import CandidateRollout, NetworkContext, NetworkVehicles
 
 __all__ = ["mitigate", "without_buffer"]

@@ -36,7 +36,6 @@ from typing import Any
 import numpy as np
 
 from dynamics.errors import SceneError
-from dynamics.highway_simulator.layout import LANE_LENGTH
 from dynamics.road_networks.reachable.strips import (
     BODY_HALF,
     CENTRED_FROM,
@@ -47,9 +46,10 @@ from dynamics.road_networks.reachable.strips import (
     LOW,
     NEAR,
     START,
+    end_of_lane,
 )
-from dynamics.state import FloatArray, IntArray, Vehicle
-from shield.certificate.network.clearance import CLEAR, NEW_PATH_MARGIN
+from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
+from shield.certificate.network.tolerances import CLEAR, NEW_PATH_MARGIN
 from shield.certificate.network.workspace import NetworkContext, NetworkVehicles
 
 __all__ = ["NetworkMonitor", "NetworkObservation", "NetworkRule", "check_readable"]
@@ -313,29 +313,36 @@ def _inside(old: NetworkVehicles, j: int, new: NetworkVehicles, i: int, road: Ne
     least, most, obliged, rearmost = old.least[j, 1], old.most[j, 1], old.obliged[j].any(), new.least[i].min()
     furthest = old.least[j].max()
     shifts = _shifts(old, mine, new, its)
-    ends = road.lanes.rows[:, LANE_LENGTH] + road.ways.overruns
-    ends = np.where((road.ways.after >= 0).any(axis=1), ends, np.inf)
     for k in its:
-        row, same = new.numbers[k], mine[old.marks[mine, 1] == new.marks[k, 1]]
+        row, lane = new.numbers[k], new.marks[k, 1]
+        end = end_of_lane(road.lanes.rows, road.ways.after, lane) + road.ways.overruns[lane]
+        same = mine[old.marks[mine, 1] == lane]
         rows = old.numbers[same]
         # A later pass is contained in one whose start the vehicle is not certain to have left.
         rear = (-row[FAR] >= least - rows[:, FAR] - _PLACE) | (furthest <= rows[:, FAR] + rows[:, START])
         along = rear & (-row[NEAR] <= most - rows[:, NEAR] + _PLACE)
-        along &= -row[NEAR] <= np.maximum(ends[new.marks[k, 1]], -rows[:, NEAR]) + _PLACE
+        along &= -row[NEAR] <= np.maximum(end, -rows[:, NEAR]) + _PLACE
         along &= max(row[START], rearmost - row[FAR]) >= rows[:, START] - _PLACE
-        across = (row[LOW] >= rows[:, LOW] - _PLACE) & (row[HIGH] <= rows[:, HIGH] + _PLACE)
-        # A vehicle beside the centre has to be back there after the same distance as before.
-        settles = (max(row[HIGH], -row[LOW]) <= row[CENTRED_HALF]) | (
-            row[CENTRED_FROM] - row[NEAR] <= rows[:, CENTRED_FROM] - rows[:, NEAR] + _PLACE
-        )
-        # The front in its present pose matters for vehicles that have to stay behind the ego.
-        fits = (row[BODY_HALF] <= rows[:, BODY_HALF] + _PLACE) & (~obliged | (row[FRONT] <= rows[:, FRONT] + _PLACE))
         # The plan skips intervals whose ways the ego blocks. They stay blocked where the body has moved across its
         # lane.
         kept = (new.ranks[k] <= old.ranks[same]) & (~old.shut[same] | new.shut[k] | ~shifts)
-        if not (along & across & settles & fits & kept).any():
+        if not (along & _is_within(row, rows, obliged) & kept).any():
             return False
     return True
+
+
+def _is_within(row: FloatArray, rows: FloatArray, obliged: np.bool_) -> BoolArray:
+    """Whether the band of an interval and the body in it are within those of each of the intervals `rows`, (k,). `owes`
+    is whether the vehicle has a distance obligation."""
+    across = (row[LOW] >= rows[:, LOW] - _PLACE) & (row[HIGH] <= rows[:, HIGH] + _PLACE)
+    # A vehicle beside the centre has to be back there after the same distance as before.
+    settles = (max(row[HIGH], -row[LOW]) <= row[CENTRED_HALF]) | (
+        row[CENTRED_FROM] - row[NEAR] <= rows[:, CENTRED_FROM] - rows[:, NEAR] + _PLACE
+    )
+    # The front in its present pose matters for vehicles that have to stay behind the ego.
+    fits = (row[BODY_HALF] <= rows[:, BODY_HALF] + _PLACE) & (~obliged | (row[FRONT] <= rows[:, FRONT] + _PLACE))
+    within: BoolArray = across & settles & fits
+    return within
 
 
 def _shifts(old: NetworkVehicles, mine: IntArray, new: NetworkVehicles, its: IntArray) -> bool:

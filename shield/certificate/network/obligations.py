@@ -10,7 +10,8 @@ import numpy as np
 
 from dynamics.road_networks.reachable.strips import FRONT, NEAR
 from dynamics.state import BoolArray, IntArray
-from shield.certificate.network.clearance import CLEAR, find_merging
+from shield.certificate.network.followers import find_merging
+from shield.certificate.network.tolerances import CLEAR
 from shield.certificate.network.workspace import CandidateRollout, NetworkContext, NetworkVehicles
 
 __all__ = ["RightOfWayObligations", "find_followers"]

@@ -80,7 +80,7 @@ def project_path(
             far = circles[lane, 2] + reach * (1 + math.hypot(1.0, steepness(lanes, lane)))
             dx, dy = x - circles[lane, 0], y - circles[lane, 1]
             # Vehicles drive on beyond the end of a lane that leads nowhere.
-            endless = is_dead_end(road.ways, lane)
+            endless = is_dead_end(road.ways.after, lane)
             if not endless and dx * dx + dy * dy > far * far:
                 continue
             s, r = local(lanes, lane, x, y)

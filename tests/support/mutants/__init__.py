@@ -10,6 +10,7 @@ from mutants.kinds import Edit, Mutant
 from mutants.observed import OBSERVED
 from mutants.owed import OWED
 from mutants.places import PLACES
+from mutants.road_traffic import ROAD_TRAFFIC
 from mutants.roads import ROADS
 from mutants.simulated import SIMULATED
 from mutants.sources import SOURCES
@@ -24,6 +25,7 @@ TABLES = {
     "observed": OBSERVED,
     "owed": OWED,
     "places": PLACES,
+    "road_traffic": ROAD_TRAFFIC,
     "roads": ROADS,
     "simulated": SIMULATED,
     "sources": SOURCES,

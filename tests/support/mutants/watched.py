@@ -87,7 +87,7 @@ WATCHED = (
     off(
         "rule WAY off",
         PERMITS,
-        "check_motions",
+        "_breaks_way",
         "_ or _ or (not abs(_) <= abs(_) * _ + _)",
         "False and (not abs({3}) <= abs({4}) * {5} + {6})",
         TESTS_OF_PERMITS,
@@ -99,7 +99,7 @@ WATCHED = (
         "_ |= _",
         "{1} |= 0",
         "tests/shield/certificate/road/test_turned_round.py",
-        which=6,
+        which=5,
         reads="_WAY",
     ),
     off(
@@ -113,8 +113,8 @@ WATCHED = (
     off(
         "limit of turning allowances off",
         PERMITS,
-        "check_motions",
-        "not min(_[_], _[_]) >= -_",
+        "_breaks_way",
+        "not min(_, _) >= -_",
         "False",
         TESTS_OF_PERMITS,
     ),
@@ -133,13 +133,13 @@ WATCHED = (
         "_ |= _",
         "{1} |= 0",
         TESTS_OF_PERMITS,
-        which=9,
+        which=8,
         reads="_BRAKING",
     ),
     off(
         "rule on unprovoked hard braking off",
         PERMITS,
-        "check_motions",
+        "_brakes_harder",
         "not _ - _ <= (_ + _) * _ / _",
         "False",
         TESTS_OF_PERMITS,
@@ -147,7 +147,7 @@ WATCHED = (
     off(
         "rule on an increased braking bound off",
         PERMITS,
-        "check_motions",
+        "_brakes_harder",
         "_ or _[_, _] > _[_, _ + _] + _",
         "{1}",
         TESTS_OF_PERMITS,
@@ -201,7 +201,7 @@ WATCHED = (
         "_ |= _",
         "{1} |= 0",
         TESTS_OF_PERMITS,
-        which=7,
+        which=6,
         reads="_LANES",
     ),
     off(
@@ -211,7 +211,7 @@ WATCHED = (
         "_ |= _",
         "{1} |= 0",
         TESTS_OF_PERMITS,
-        which=10,
+        which=9,
         reads="_REVERSING",
     ),
     off(
@@ -221,7 +221,7 @@ WATCHED = (
         "_ |= _",
         "{1} |= 0",
         TESTS_OF_PERMITS,
-        which=5,
+        which=4,
         reads="_DISTANCE",
     ),
     off(
@@ -247,7 +247,7 @@ WATCHED = (
         "_ |= _",
         "{1} |= 0",
         "tests/shield/certificate/road/test_wrecks.py",
-        which=8,
+        which=7,
         reads="_SIZE",
     ),
     off(
@@ -270,7 +270,7 @@ WATCHED = (
     off(
         "braking bound of wrecks off",
         PERMITS,
-        "check_motions",
+        "_breaks_speed",
         "max((_ - _) / _ + _, _)",
         "1000000000.0",
         "tests/shield/certificate/road/test_wrecks.py",

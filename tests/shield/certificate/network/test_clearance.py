@@ -15,8 +15,8 @@ from dynamics.road_networks.reachable.prediction import distance_bounds
 from dynamics.road_networks.reachable.strips import LOW, DrivingBounds
 from shield import ShieldConfig
 from shield.certificate.network.choice import choose, try_candidate
-from shield.certificate.network.clearance import CLEAR
 from shield.certificate.network.monitor import NetworkMonitor, NetworkRule
+from shield.certificate.network.tolerances import CLEAR
 from shield.filters.network import NetworkFilter
 
 HARD = 9.8

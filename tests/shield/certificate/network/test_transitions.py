@@ -14,8 +14,8 @@ from slowly import later
 from dynamics.road_networks.reachable.strips import START
 from shield import ShieldConfig, ShieldedEnv
 from shield.certificate.network.choice import try_candidate
-from shield.certificate.network.clearance import CLEAR
 from shield.certificate.network.monitor import NetworkMonitor, NetworkRule
+from shield.certificate.network.tolerances import CLEAR
 from shield.filters.network import NetworkFilter
 
 HARD = 9.8

@@ -86,6 +86,7 @@ def _kernel(function: F, **options: bool) -> F:
         # By default numba stamps a cache file with the time and size of the source file, and names it by the kernel's
         # line.
         file._source_stamp, file._load_index = made, _readable(file._load_index)
+        file._load_data = _loadable(file._load_data)
         line = f"-{function.__code__.co_firstlineno}.py"
         file._index_path = file._index_path.replace(line, ".py")
         file._data_name_pattern = file._data_name_pattern.replace(line, ".py")
@@ -108,6 +109,21 @@ def _readable(load: Callable[[], dict[Any, Any]]) -> Callable[[], dict[Any, Any]
             return {}
 
     return index
+
+
+def _loadable(load: Callable[[str], Any]) -> Callable[[str], Any]:
+    """Wrap numba's loader of machine code, so that code it cannot unpickle counts as missing, and is compiled again.
+
+    Machine code names the modules of the kernels that it calls. They may have moved since, with the same bytecode.
+    """
+
+    def data(name: str) -> Any:
+        try:
+            return load(name)
+        except (AttributeError, ImportError, UnpicklingError, EOFError) as error:
+            raise FileNotFoundError(name) from error
+
+    return data
 
 
 def source_digest(kernel: Any) -> str:

@@ -57,7 +57,9 @@ class Bends:
             psi, r, k = np.meshgrid(
                 _HEADINGS, np.linspace(self.low, self.high, 9), [self.least, self.greatest], indexing="ij"
             )
-            inside = k * r + np.abs(k) * np.hypot(*key) / 2 < 1
+            cos, sin = np.abs(np.cos(psi)), np.abs(np.sin(psi))
+            extents = np.hypot(key[0] * cos + key[1] * sin, key[0] * sin + key[1] * cos)
+            inside = k * r + np.abs(k) * extents / 2 < 1
             along, across = bend_growth(*key, psi[inside], r[inside], k[inside])
             self._grown[key] = float(along.max(initial=0.0)), float(across.max(initial=0.0)) + self.deviation
         return self._grown[key]

@@ -139,6 +139,17 @@ def test_code_for_a_class_that_has_moved_counts_as_none(tmp_path):
         assert run(tmp_path, MOVED.format(name)) == (3.0, 1)
 
 
+def test_code_that_calls_a_kernel_of_a_moved_module_counts_as_none(tmp_path):
+    """The caller's bytecode stays the same, and its machine code names the former module."""
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    assert run(tmp_path) == (8.0, 0)
+    (tmp_path / "inner.py").rename(tmp_path / "within.py")
+    (tmp_path / "outer.py").write_text(FILES["outer.py"].replace("from inner", "from within"), encoding="utf-8")
+    assert run(tmp_path) == (8.0, 0)
+    assert run(tmp_path) == (8.0, 1)
+
+
 def test_a_global_of_a_kernel_has_to_be_defined_before_it():
     with pytest.raises(NameError, match=r"kernel early needs later_on: define that before it"):
         compiled(early)

@@ -97,6 +97,16 @@ def _lane_of(body: Any, network: Any, lanes: Mapping[tuple[str, str, int], int])
     return start, end, lane
 
 
+def _route_of(body: Any, lanes: Mapping[tuple[str, str, int], int]) -> list[Any]:
+    """The route of a vehicle; none, so that it may take every way, if the route names a road that does not exist."""
+    route = getattr(body, "route", None) or []
+    try:
+        known = all((start, end, 0) in lanes for start, end, _ in route)
+    except (TypeError, ValueError):
+        return []
+    return list(route) if known else []
+
+
 def read_traffic(base: Any, network: Network, lanes: Mapping[tuple[str, str, int], int]) -> TrafficRows:
     """Read the simulator's state of an unwrapped environment.
 
@@ -123,7 +133,7 @@ def read_traffic(base: Any, network: Network, lanes: Mapping[tuple[str, str, int
     for i, body in enumerate(identities):
         key = _lane_of(body, base.road.network, lanes)
         own[i] = lanes[key]
-        route = getattr(body, "route", None) or []
+        route = _route_of(body, lanes)
         for k, (a, b, _) in enumerate(route):
             routes[i, network.ids[lanes[a, b, 0], ROAD]] = 2 if k == len(route) - 1 else 1
         if route and route[0][0] == key[1]:

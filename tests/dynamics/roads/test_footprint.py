@@ -99,3 +99,14 @@ def test_batches_are_their_rows():
 def test_a_car_across_the_centre_of_a_bend_is_refused():
     with pytest.raises(SceneError, match="centre of the bend"):
         bend_growth(5.0, 2.0, 0.0, 9.0, 0.1)
+
+
+@pytest.mark.parametrize("name", ["racetrack-v0", "racetrack-oval-v0"])
+@pytest.mark.parametrize("length", [5.0, 18.0, 22.0, 26.0, 30.0])
+def test_the_growth_of_a_body_of_any_length_is_known(name, length):
+    """A long body that turns reaches the centre of a tight bend at some places; those are left out."""
+    env = gym.make(name)
+    env.reset(seed=0)
+    along, across = read_network(env.unwrapped.road.network).bends.growth(length, 2.6)
+    assert 0 <= along < length
+    assert 0.05 < across < length

@@ -7,11 +7,13 @@ along x are checked. The others fail highway-env's distance check.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import dot2
+from dynamics.highway_simulator.arrays import Machine
 from dynamics.highway_simulator.layout import (
     CHECKS,
     COS,
@@ -31,7 +33,7 @@ from dynamics.highway_simulator.layout import (
 )
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["collide"]
+__all__ = ["BodiesByX", "collide"]
 
 _SLACK = 1e-6
 """Margin of the search along x [m]; the check itself is exact."""
@@ -149,25 +151,27 @@ def _near(sums: int, f: FloatArray, p: FloatArray, i: int, j: int, dt: float) ->
     return not apart > (p[DIAGONAL, i] + p[DIAGONAL, j]) / 2 + f[SPEED, i] * dt
 
 
+class BodiesByX(NamedTuple):
+    """The m bodies of one environment, (F, m), (G, m) and (P, m) (see `layout`), their order by x, and the number of
+    vehicles among them."""
+
+    f: FloatArray
+    g: IntArray
+    p: FloatArray
+    order: IntArray
+    vehicles: int
+
+
 @kernel_no_refcount
-def collide(
-    sums: int,
-    products: int,
-    f: FloatArray,
-    g: IntArray,
-    p: FloatArray,
-    order: IntArray,
-    corners: FloatArray,
-    pairs: IntArray,
-    vehicles: int,
-    dt: float,
-) -> None:
+def collide(machine: Machine, present: BodiesByX, corners: FloatArray, pairs: IntArray, dt: float) -> None:
     """Mark crashed bodies, and store the impacts that the next frame applies.
 
     Parameters
     ----------
-    order : bodies by x. corners, pairs : buffers, (2, 5, 2) and (m (m - 1) / 2,), written.
+    corners, pairs : buffers, (2, 5, 2) and (m (m - 1) / 2,), written.
     """
+    f, g, p, order, vehicles = present
+    sums, products = machine.sums, machine.products
     bodies, widest, fastest = len(order), 0.0, 0.0
     for i in range(bodies):
         widest = max(widest, p[DIAGONAL, i])

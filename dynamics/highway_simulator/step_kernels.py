@@ -18,7 +18,7 @@ from dynamics.highway_simulator.arrays import (
     Work,
     Worlds,
 )
-from dynamics.highway_simulator.collisions import collide
+from dynamics.highway_simulator.collisions import BodiesByX, collide
 from dynamics.highway_simulator.control import act
 from dynamics.highway_simulator.grid import occupancy_grid
 from dynamics.highway_simulator.lanes import on_lane, reachable
@@ -47,6 +47,7 @@ from dynamics.highway_simulator.scene import next_target_speed, spawn
 from dynamics.state import FloatArray, IntArray
 
 __all__ = [
+    "NO_INPUTS",
     "advance",
     "begin",
     "begin_next_episode",
@@ -58,6 +59,9 @@ __all__ = [
     "write_row",
     "write_rows",
 ]
+
+NO_INPUTS = math.nan, math.nan
+"""Inputs of a frame in which the ego's controllers choose them, see `advance`."""
 
 
 @kernel_inline
@@ -92,10 +96,11 @@ def _command(rules: Rules, f: FloatArray, g: IntArray, action: FloatArray) -> No
 
 @kernel_inline
 def advance(
-    machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int, level: bool, throttle: float, wheel: float
+    machine: Machine, worlds: Worlds, rules: Rules, work: Work, e: int, level: bool, inputs: tuple[float, float]
 ) -> bool:
     """Advance one environment by a frame. `level` is the result of `sort` before the frame; the result is that after
-    it."""
+    it. `inputs` are the ego's throttle [m/s^2] and front wheel angle [rad] in this frame, NaN for its controllers'."""
+    throttle, wheel = inputs
     f, g, p, order = worlds.f[e], worlds.g[e], worlds.p[e], worlds.order[e]
     vehicles, dt, bodies = rules.numbers[1], rules.times[0], _bodies(worlds, rules, e)
     find(f, g, order, level, work.front, work.rear)
@@ -106,7 +111,7 @@ def advance(
         f[STEERING, 0] = wheel
     move(machine.loops, bodies, work.numbers, work.busy, vehicles, dt)
     level = sort(f, order)
-    collide(machine.sums, machine.products, f, g, p, order, work.corners, work.pairs, vehicles, dt)
+    collide(machine, BodiesByX(f, g, p, order, vehicles), work.corners, work.pairs, dt)
     return level
 
 
@@ -231,7 +236,7 @@ def frame(simulation: Simulation, e: int, throttle: float, wheel: float, rows: F
     rows : (m, 7), written: x, y [m], heading [rad], speed [m/s], length, width [m], crashed, of each body.
     """
     machine, worlds, rules, _, work, _ = simulation
-    advance(machine, worlds, rules, work, e, sort(worlds.f[e], worlds.order[e]), throttle, wheel)
+    advance(machine, worlds, rules, work, e, sort(worlds.f[e], worlds.order[e]), (throttle, wheel))
     return write_rows(worlds, rules, e, rows)
 
 
@@ -257,7 +262,7 @@ def step_all(simulation: Simulation, actions: FloatArray, first: int, last: int,
         begin(worlds, rules, e, actions[e])
         level = sort(worlds.f[e], worlds.order[e])
         for _ in range(rules.numbers[0]):
-            level = advance(machine, worlds, rules, work, e, level, math.nan, math.nan)
+            level = advance(machine, worlds, rules, work, e, level, NO_INPUTS)
         finish(machine, worlds, rules, view, work, seen, e)
         if again and (seen.terminated[e] or seen.truncated[e]):
             begin_next_episode(machine, worlds, rules, view, work, seen, e)

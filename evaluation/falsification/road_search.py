@@ -124,6 +124,17 @@ def search_roads(
             subset_simulation(performance, numbers.count, LEVEL, _SHARE, seed, jumps=1)
         except _Found:
             pass
+    return _result(setting, config, numbers, driven, points_of)
+
+
+def _result(
+    setting: Setting,
+    config: ShieldConfig | None,
+    numbers: RoadNumbers,
+    driven: Sequence[RoadEpisode],
+    points_of: Sequence[FloatArray],
+) -> NetworkSearchResult:
+    """Result of a search from its episodes and their points, up to the first hole."""
     last = next((k for k, each in enumerate(driven) if each.hole), len(driven) - 1)
     driven = driven[: last + 1]
     worst = min(range(len(driven)), key=lambda k: driven[k].performance)
@@ -135,8 +146,8 @@ def search_roads(
         shares=tuple(points_of[worst].tolist()),
         actions=(),
         clearance=driven[worst].clearance,
-        drivers=drivers,
-        seed=seed,
+        drivers=numbers.drivers,
+        seed=numbers.first,
         made=made_with(setting, ANY),
     )
     return NetworkSearchResult(

@@ -144,16 +144,7 @@ def load_model(
     """
     path = Path(path)
     data = read_data(path)
-    algorithm = algorithm or algorithm_of(path)
-    if algorithm is None:
-        raise ConfigError(
-            f"{path} does not say which algorithm it was trained with; give one, in Python with load_model(path,"
-            f" algorithm), on the command line with --algorithm: {', '.join(sorted(ALGORITHMS))}"
-        )
-    kind, trained = get_algorithm(algorithm), algorithm_of(path)
-    same = {"ddpg": "td3"}.get(algorithm.lower(), algorithm.lower())
-    if trained is not None and get_algorithm(trained) is not get_algorithm(same):
-        raise PolicyError(f"{path.name} was trained with {trained}, not with {algorithm}; pass --algorithm {trained}")
+    algorithm, kind = _agreed(path, algorithm)
     objects, unreadable = read_objects(data, custom_objects or {})
     if lost := [name for name in _NETWORK if name in unreadable]:
         raise PolicyError(_unreadable(path, kind, data, lost[0], unreadable[lost[0]]))
@@ -176,6 +167,23 @@ def load_model(
     if taken:
         _log.warning("%s: %s cannot be read here; those of the environment are taken", path.name, " and ".join(taken))
     return model
+
+
+def _agreed(path: Path, algorithm: str | None) -> tuple[str, type[BaseAlgorithm]]:
+    """The algorithm of a saved model and its class: the given one, which has to agree with the file, or else that of
+    the file."""
+    trained = algorithm_of(path)
+    algorithm = algorithm or trained
+    if algorithm is None:
+        raise ConfigError(
+            f"{path} does not say which algorithm it was trained with; give one, in Python with load_model(path,"
+            f" algorithm), on the command line with --algorithm: {', '.join(sorted(ALGORITHMS))}"
+        )
+    kind = get_algorithm(algorithm)
+    same = {"ddpg": "td3"}.get(algorithm.lower(), algorithm.lower())
+    if trained is not None and get_algorithm(trained) is not get_algorithm(same):
+        raise PolicyError(f"{path.name} was trained with {trained}, not with {algorithm}; pass --algorithm {trained}")
+    return algorithm, kind
 
 
 def _space(path: Path, name: str, data: Mapping[str, Any], env: Any, error: Exception) -> Any:

@@ -289,6 +289,52 @@ def _alternatives(pointers: BatchPointers, e: int, proposed: int, order: IntArra
 
 
 @kernel_no_refcount
+def _holds_back(
+    pointers: BatchPointers,
+    scene: Pointer[ClauseScene],
+    e: int,
+    proposed: int,
+    changes: bool,
+    reason: int,
+    found: FloatArray,
+) -> bool:
+    """Whether the proposal, unless it is a lane change, or else IDLE or SLOWER verifies with an acceleration cap; it is
+    recorded and stored."""
+    shields, parameters, records = (
+        dereference(pointers.shields),
+        dereference(pointers.parameters),
+        dereference(pointers.records),
+    )
+    workspace, numbers = dereference(pointers.workspace), parameters.numbers
+    for executed in (
+        NO_INDEX if changes else proposed,
+        numbers.idle,
+        numbers.slower if parameters.labels[numbers.slower] == 4 else -1,
+    ):
+        if executed == NO_INDEX:
+            continue
+        kept = hold_back(pointers, scene, e, workspace.marks[5, executed], workspace.numbers[0, executed], numbers.one)
+        if kept != NO_INDEX:
+            plans = workspace.plans
+            found[0], found[1] = plans.margins[kept], plans.fails[kept]
+            found[2], found[3] = plans.clauses[kept], plans.vehicles[kept]
+            _keep(shields, records, e, _GOVERNED, reason, executed, found)
+            return True
+    return False
+
+
+@kernel_inline
+def _every_other_action(count: int, proposed: int, out: IntArray) -> int:
+    """Fill in all actions but the proposal. Return their number."""
+    n = 0
+    for a in range(count):
+        if a != proposed:
+            out[n] = a
+            n += 1
+    return n
+
+
+@kernel_no_refcount
 def decide(pointers: BatchPointers, e: int, proposed: int, order: IntArray) -> None:
     """Decide about one meta-action, into `records`.
 
@@ -304,9 +350,8 @@ def decide(pointers: BatchPointers, e: int, proposed: int, order: IntArray) -> N
         dereference(pointers.worlds),
     )
     workspace, records = dereference(pointers.workspace), dereference(pointers.records)
-    labels, numbers, wanted = parameters.labels, parameters.numbers, workspace.numbers[0]
+    numbers, wanted, count = parameters.numbers, workspace.numbers[0], parameters.labels.shape[0]
     lanes, actions, found = workspace.marks[5], workspace.marks[4], workspace.grid[2, 4:8]
-    count = labels.shape[0]
     records.proposed[e] = proposed
     if not 0 <= proposed < count:
         _give_up(shields, parameters, records, e, _BAD_ACTION)
@@ -339,27 +384,11 @@ def decide(pointers: BatchPointers, e: int, proposed: int, order: IntArray) -> N
         _keep(shields, records, e, _ALTERNATIVE, reason, executed, found)
         return
     # Without a policy order, an acceleration cap for the proposal comes before the remaining actions.
-    for executed in (
-        NO_INDEX if changes else proposed,
-        numbers.idle,
-        numbers.slower if labels[numbers.slower] == 4 else -1,
-    ):
-        if executed == NO_INDEX:
-            continue
-        kept = hold_back(pointers, scene, e, lanes[executed], wanted[executed], numbers.one)
-        if kept != NO_INDEX:
-            plans = workspace.plans
-            found[0], found[1] = plans.margins[kept], plans.fails[kept]
-            found[2], found[3] = plans.clauses[kept], plans.vehicles[kept]
-            _keep(shields, records, e, _GOVERNED, reason, executed, found)
-            return
+    if _holds_back(pointers, scene, e, proposed, changes, reason, found):
+        return
     # The remaining actions, whether or not they are expected to verify to the end of the decision: the certificate
     # needs only one frame.
-    n = 0
-    for a in range(count):
-        if a != proposed:
-            actions[n] = a
-            n += 1
+    n = _every_other_action(count, proposed, actions)
     executed = _first_action(pointers, scene, e, actions, n, numbers.none, found)
     if executed != NO_INDEX:
         _keep(shields, records, e, _ALTERNATIVE, reason, executed, found)

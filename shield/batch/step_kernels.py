@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from dynamics.compiled import kernel_no_refcount
+from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arrays import Simulation
 from dynamics.highway_simulator.layout import SPEED, TARGET, TARGET_SPEED
 from dynamics.highway_simulator.neighbours import sort
@@ -77,6 +77,14 @@ def let_pass(records: BatchRecords, e: int, proposed: int) -> None:
         records.clauses[e, k], records.vehicles[e, k] = 0, -1
 
 
+@kernel_inline
+def _repeat_decision(records: BatchRecords, e: int, lane: int) -> None:
+    """Record the first frame of a passed decision, which has verified this frame with its target lane."""
+    records.tiers[e, 0], records.reasons[e, 0], records.margins[e, 0] = _PASSED, 0, records.margin[e]
+    records.clauses[e, 0], records.vehicles[e, 0] = records.clause[e], records.vehicle[e]
+    records.lanes[e, 0], records.accelerations[e, 0] = lane, 0.0
+
+
 @kernel_no_refcount
 def step_all_shielded(
     simulation: Simulation,
@@ -119,16 +127,13 @@ def step_all_shielded(
             if off:
                 records.tiers[e, k] = _OFF
             elif k == 0 and lane == worlds.g[e, TARGET, 0] and speed == worlds.f[e, TARGET_SPEED, 0]:
-                # The decision has just verified this frame with this target.
-                records.tiers[e, 0], records.reasons[e, 0], records.margins[e, 0] = _PASSED, 0, records.margin[e]
-                records.clauses[e, 0], records.vehicles[e, 0] = records.clause[e], records.vehicle[e]
-                records.lanes[e, 0], records.accelerations[e, 0] = lane, 0.0
+                _repeat_decision(records, e, lane)
             else:
                 supervise(pointers, e, k)
                 if records.tiers[e, k] != _PASSED:
                     worlds.g[e, TARGET, 0] = records.lanes[e, k]
                     throttle = max(records.accelerations[e, k], -max(worlds.f[e, SPEED, 0], 0.0) * frequency)
-            level = advance(machine, worlds, rules, work, e, level, throttle, math.nan)
+            level = advance(machine, worlds, rules, work, e, level, (throttle, math.nan))
             shields.clock[e] += 1
             frames.off_road[e, k] = not write_rows(worlds, rules, e, frames.rows[e, k])
         finish(machine, worlds, rules, view, work, seen, e)

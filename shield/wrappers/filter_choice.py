@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from shield.certificate.network.others import has_crossings
 from shield.config import ShieldConfig
 from shield.errors import ConfigError
 from shield.filters.inputs import InputFilter
@@ -29,7 +30,6 @@ def filter_for(
     config: ShieldConfig,
     *,
     inputs: bool,
-    on_roads: bool,
     frames: bool = True,
     perception: str | PerceptionConfig = "simulator",
     model: StageModel | None = None,
@@ -41,7 +41,6 @@ def filter_for(
     ----------
     env : the environment. config : settings.
     inputs : whether its actions are throttle and steering instead of meta-actions.
-    on_roads : whether the road is a network, and vehicles on its other roads count.
     frames, perception : as of `Shield`. model, rule : as of `ShieldedEnv`.
 
     Raises
@@ -50,6 +49,8 @@ def filter_for(
         As of the filter, or if it reads the simulator's state although `perception` requires observations.
     """
     base = env.unwrapped
+    # On a network, vehicles on the other roads count too.
+    on_roads = frames and not inputs and rule is None and has_crossings(base)
     if not inputs and not config.simulates and not (on_roads and config.mode == "full"):
         return MetaActionFilter(base, config, frames, rule, scenes_of(perception, env))
     action_filter: Filter

@@ -13,7 +13,6 @@ import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
 from dynamics.deprecation import warn_of_former_name
-from shield.certificate.network.others import has_crossings
 from shield.config import ShieldConfig
 from shield.decision import Decision, Verification
 from shield.environments import base_environments, check_step
@@ -309,7 +308,6 @@ class ShieldedEnv(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
                 self.env,
                 config,
                 inputs=kind == "ContinuousAction",
-                on_roads=kind == "DiscreteMetaAction" and self._rule is None and has_crossings(self._base),
                 perception=self._perception,
                 model=self._model,
                 rule=self._rule,

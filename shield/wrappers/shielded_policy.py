@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dynamics.deprecation import warn_of_former_name
-from shield.certificate.network.others import has_crossings
 from shield.config import ShieldConfig
 from shield.decision import Decision, Reason, Verification
 from shield.environments import base_environments, frames_of
@@ -167,12 +166,11 @@ class Shield(WrappedPolicy):
 
     def _made(self, i: int) -> Filter:
         """The filter for environment `i` with its chosen settings."""
-        chosen, base = self._chosen[i], self._bases[i]
+        chosen = self._chosen[i]
         action_filter = filter_for(
             getattr(self._env, "envs", [self._env])[i],
             chosen.config,
             inputs=self._inputs,
-            on_roads=self._frames and not self._inputs and has_crossings(base),
             frames=self._frames,
             perception=self._perception,
         )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 from cores import ShieldCore
 
@@ -12,7 +14,7 @@ from dynamics.vehicle.controllers import steering_control
 from dynamics.vehicle.rollouts import Rollouts
 from shield import Decision, ShieldConfig
 from shield.certificate.road.manoeuvres import brake_candidates
-from shield.certificate.road.verify import Clearance, PathVerifier
+from shield.certificate.road.verify import Clearance, PathVerifier, SceneBefore
 
 __all__ = [
     "BODY",
@@ -27,6 +29,7 @@ __all__ = [
     "extents",
     "margin",
     "scene_of",
+    "verifier_of",
 ]
 
 CONFIG, DT = ShieldConfig(), 1 / 15
@@ -41,12 +44,21 @@ def scene_of(ego, *others, lanes=4, lane=None, speed=None, dt=DT) -> Scene:
     return Scene(np.array([*ego, *BODY], dtype=float), rows, road, EgoControl(target), dt, 5)
 
 
+BEFORE = {field.name for field in fields(SceneBefore)}
+
+
+def verifier_of(scene, config, **marks) -> PathVerifier:
+    """A verifier; `marks` are parameters of `PathVerifier` and of `SceneBefore`."""
+    before = SceneBefore(**{name: marks.pop(name) for name in BEFORE & marks.keys()})
+    return PathVerifier(scene, config, **marks, before=before)
+
+
 def braking(scene, lane, fail=None, config=CONFIG, **marks) -> Clearance:
     """One frame on the way to a lane, then a stop in it, or in lane `fail`."""
     fails = [lane if fail is None else fail]
     candidates = brake_candidates(scene, [lane], [scene.ego[3]], fails, 1, config.braking)
     paths = candidates.paths(Rollouts(scene.dt, scene.road), scene.ego_road)
-    return PathVerifier(scene, config, **marks).clearance(paths, candidates.lanes, candidates.fails)
+    return verifier_of(scene, config, **marks).clearance(paths, candidates.lanes, candidates.fails)
 
 
 def braked(scene) -> np.ndarray:
@@ -67,7 +79,7 @@ def along(scene, path, lane=0, config=CONFIG, **marks) -> float:
     """Least separation on a given path (K, 4)."""
     lanes = np.array([lane])
     return float(
-        PathVerifier(scene, config, **marks)
+        verifier_of(scene, config, **marks)
         .clearance(np.array([path], float), lanes, lanes)
         .separations.min(initial=np.inf)
     )

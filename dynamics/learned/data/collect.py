@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import islice
 from typing import Any, Protocol
 
 import numpy as np
@@ -108,21 +109,12 @@ def collect(
     rows: list[tuple[FloatArray, FloatArray, FloatArray, int]] = []
     episode = fruitless = 0
     while len(rows) < transitions:
-        before, memory = len(rows), None
         observation, _ = env.reset(seed=int(generator.integers(RESET_SEEDS)))
-        now, done, steps = state(observation), False, 0
-        while not done and len(rows) < transitions:
-            start = np.array([steps == 0])
-            action, memory = driver.predict(observation, state=memory, episode_start=start, deterministic=True)
-            observation, _, terminated, truncated, _ = env.step(action)
-            steps += 1
-            done = terminated or truncated or steps == episode_steps
-            after = state(observation)
-            if not terminated:
-                rows.append((now, encode(action), after, episode))
-            now = after
+        most = transitions - len(rows)
+        found = list(islice(_episode(env, driver, observation, state, encode, episode_steps), most))
+        rows += [(*row, episode) for row in found]
         episode += 1
-        fruitless = 0 if len(rows) > before else fruitless + 1
+        fruitless = 0 if found else fruitless + 1
         if fruitless == 100:
             raise DataError("100 episodes in a row ended at their first decision: there is nothing to learn from")
     origin = {
@@ -133,6 +125,29 @@ def collect(
     }
     states, actions, after, episodes = (np.array(column) for column in zip(*rows, strict=True))
     return Transitions(states, actions, after, episodes, dt, origin)
+
+
+def _episode(
+    env: Any,
+    driver: PredictingPolicy,
+    observation: Any,
+    state: Callable[[Any], FloatArray],
+    encode: Callable[[Any], FloatArray],
+    episode_steps: int | None,
+) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+    """State, encoded action and next state of each decision of an episode that begins with an observation. The decision
+    that terminates the episode is left out."""
+    now, memory, done, steps = state(observation), None, False, 0
+    while not done:
+        start = np.array([steps == 0])
+        action, memory = driver.predict(observation, state=memory, episode_start=start, deterministic=True)
+        observation, _, terminated, truncated, _ = env.step(action)
+        steps += 1
+        done = terminated or truncated or steps == episode_steps
+        after = state(observation)
+        if not terminated:
+            yield now, encode(action), after
+        now = after
 
 
 def _encoder(space: spaces.Space[Any]) -> Callable[[Any], FloatArray]:

@@ -38,7 +38,7 @@ from dynamics.road_networks.simulation.frame_kernels import (
 )
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["ArrivalRules", "clear_and_spawn", "spawn_intersection"]
+__all__ = ["ArrivalRules", "IntersectionRules", "clear_and_spawn", "spawn_intersection"]
 
 _ARMS = 4
 _FIRST, _FAST, _SPAWN_DISTANCE, _EGO_SPAWN_DISTANCE = 5.0, 8.0, 15.0, 20.0
@@ -67,17 +67,32 @@ class ArrivalRules(NamedTuple):
     goal: int
 
 
+class IntersectionRules(NamedTuple):
+    """The constants of an intersection: of the motion, of the scenes, and of new vehicles."""
+
+    drive: NetworkRules
+    scene: ResetTables
+    coming: ArrivalRules
+
+
+class _Arrival(NamedTuple):
+    """How a new vehicle arrives.
+
+    Attributes
+    ----------
+    along : added to its position [m]. spreads : standard deviations of its position [m] and its speed [m/s].
+    odds : probability that it arrives. straight : whether its goal is the opposite arm.
+    """
+
+    along: float
+    spreads: tuple[float, float]
+    odds: float
+    straight: bool
+
+
 @kernel_no_refcount
 def _spawn_new(
-    row: GeneratorRow,
-    scene: ResetTables,
-    coming: ArrivalRules,
-    traffic: NetworkTraffic,
-    i: int,
-    along: float,
-    spreads: tuple[float, float],
-    odds: float,
-    straight: bool,
+    row: GeneratorRow, scene: ResetTables, coming: ArrivalRules, traffic: NetworkTraffic, i: int, new: _Arrival
 ) -> int:
     """Place a new vehicle in column `i`, if drawn and if there is room: highway-env's `_spawn_vehicle`.
 
@@ -86,19 +101,19 @@ def _spawn_new(
     The column after the last vehicle.
     """
     f, lanes = traffic.f, traffic.lanes
-    if uniform(row, 0.0, 1.0) > odds:
+    if uniform(row, 0.0, 1.0) > new.odds:
         return i
     start, goal = two_of(row, _ARMS)
-    if straight:
+    if new.straight:
         goal = (start + 2) % _ARMS
-    s = along + _FIRST + normal(row) * spreads[0]
-    speed = _FAST + normal(row) * spreads[1]
+    s = new.along + _FIRST + normal(row) * new.spreads[0]
+    speed = _FAST + normal(row) * new.spreads[1]
     x, y = place(lanes, coming.arms[start], s)
     for v in range(i):
         dx, dy = f[X, v] - x, f[Y, v] - y
         if math.sqrt(dot2(lanes.sums, dx, dx, dy, dy)) < _SPAWN_DISTANCE:
             return i
-    place_vehicle(scene, traffic, i, False, x, y, heading_at(lanes, coming.arms[start], s), speed)
+    place_vehicle(scene, traffic, i, False, (x, y, heading_at(lanes, coming.arms[start], s)), speed)
     set_route(scene, traffic, i, goal)
     randomize(row, scene.kind, scene.ranges, traffic.p, i)
     return i + 1
@@ -149,7 +164,7 @@ def _spawn_ego(row: GeneratorRow, scene: ResetTables, coming: ArrivalRules, traf
         goal = 1 + below(row, _ARMS - 1)
     x, y = place(lanes, lane, _EGO_PLACE + 5.0 * (1.0 + normal(row)))
     limit = lanes.rows[lane, LANE_LIMIT]
-    place_vehicle(scene, traffic, i, True, x, y, heading_at(lanes, lane, _EGO_PLACE), limit)
+    place_vehicle(scene, traffic, i, True, (x, y, heading_at(lanes, lane, _EGO_PLACE)), limit)
     if traffic.g[KIND, i] == EGO:
         set_route(scene, traffic, i, goal)
         f[TARGET_SPEED, i] = scene.target_speeds[speed_index(scene.target_speeds, limit)]
@@ -159,28 +174,27 @@ def _spawn_ego(row: GeneratorRow, scene: ResetTables, coming: ArrivalRules, traf
 def spawn_intersection(
     machine: Machine,
     worlds: NetworkWorlds,
-    rules: NetworkRules,
-    scene: ResetTables,
-    coming: ArrivalRules,
+    constants: IntersectionRules,
     work: NetworkWork,
     row: GeneratorRow,
     e: int,
 ) -> None:
     """Draw the scene of a reset: traffic, which drives for some seconds; a vehicle that crosses the ego's way; and the
     ego. Vehicles too near to the ego are removed."""
+    rules, scene, coming = constants
     n, busy = 0, work.busy
     worlds.g[e, FRAMES, 0] = 0
     for k in range(len(coming.places)):
         frames = worlds.g[e, FRAMES, 0]
         traffic = traffic_of(machine, worlds, rules.network, e)
-        n = _spawn_new(row, scene, coming, traffic, n, coming.places[k], (1.0, 1.0), 0.6, False)
+        n = _spawn_new(row, scene, coming, traffic, n, _Arrival(coming.places[k], (1.0, 1.0), 0.6, False))
         worlds.g[e, FRAMES, 0] = frames
     _count(worlds, e, n)
     for _ in range(_SECONDS * coming.frames):
         advance(machine, worlds, rules, work, e)
     frames = worlds.g[e, FRAMES, 0]
     traffic = traffic_of(machine, worlds, rules.network, e)
-    n = _spawn_new(row, scene, coming, traffic, n, _CHALLENGER_PLACE, (0.1, 0.0), 1.0, True)
+    n = _spawn_new(row, scene, coming, traffic, n, _Arrival(_CHALLENGER_PLACE, (0.1, 0.0), 1.0, True))
     _spawn_ego(row, scene, coming, traffic, n)
     worlds.g[e, FRAMES, 0] = frames
     _count(worlds, e, n + 1)
@@ -196,9 +210,7 @@ def spawn_intersection(
 def clear_and_spawn(
     machine: Machine,
     worlds: NetworkWorlds,
-    rules: NetworkRules,
-    scene: ResetTables,
-    coming: ArrivalRules,
+    constants: IntersectionRules,
     work: NetworkWork,
     row: GeneratorRow,
     e: int,
@@ -210,6 +222,7 @@ def clear_and_spawn(
     -------
     Whether there was room for it.
     """
+    rules, scene, coming = constants
     lanes, g, p, busy = rules.network.lanes, worlds.g[e], worlds.p[e], work.busy
     for i in range(worlds.counts[e, 0]):
         lane = g[LANE, i]
@@ -221,5 +234,6 @@ def clear_and_spawn(
     n = worlds.counts[e, 0]
     if n == g.shape[1]:
         return False
-    _count(worlds, e, _spawn_new(row, scene, coming, traffic, n, 0.0, (1.0, 1.0), coming.odds, False))
+    new = _Arrival(0.0, (1.0, 1.0), coming.odds, False)
+    _count(worlds, e, _spawn_new(row, scene, coming, traffic, n, new))
     return True

@@ -17,7 +17,7 @@ from dynamics.road_networks.geometry.layout import ACROSS, ALONG, ROUTE, ROUTE_E
 from dynamics.road_networks.geometry.routes import NetworkTraffic, on_lane_of
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["AHEAD", "EXIT", "KINEMATICS", "RoadObservationConfig", "kinematics"]
+__all__ = ["AHEAD", "EXIT", "KINEMATICS", "KinematicsWork", "RoadObservationConfig", "kinematics"]
 
 KINEMATICS, EXIT, AHEAD = range(3)
 """Kinds of observation; AHEAD is `TimeToCollision` (see `time_to_collision`)."""
@@ -162,15 +162,21 @@ def _value(traffic: NetworkTraffic, view: RoadObservationConfig, ego: int, i: in
     return value
 
 
+class KinematicsWork(NamedTuple):
+    """Buffers of `kinematics`, (m,), (m,) and (bodies, features)."""
+
+    near: IntArray
+    away: FloatArray
+    seen: FloatArray
+
+
 @kernel_no_refcount
 def kinematics(
     row: GeneratorRow,
     traffic: NetworkTraffic,
     view: RoadObservationConfig,
     ego: int,
-    near: IntArray,
-    away: FloatArray,
-    seen: FloatArray,
+    work: KinematicsWork,
     out: NDArray[np.float32],
 ) -> None:
     """Write the ego and the bodies near it, nearest first, to `out`, (bodies, features).
@@ -178,8 +184,8 @@ def kinematics(
     Parameters
     ----------
     row : the random generator, for a shuffled order.
-    near, away, seen : buffers, (m,), (m,) and (bodies, features), written.
     """
+    near, away, seen = work
     _, normalised, clipped, _, shuffled, _, _, _ = view.switches
     bodies, features, ranges = len(out), view.features, view.ranges
     n = _near(traffic, ego, bodies - 1, view.switches, near, away)

@@ -120,10 +120,16 @@ def _drawn(row: GeneratorRow, distribution: int, middle: float, spread: float) -
 
 @kernel_no_refcount
 def place_vehicle(
-    scene: ResetTables, traffic: NetworkTraffic, i: int, ego: bool, x: float, y: float, heading: float, speed: float
+    scene: ResetTables,
+    traffic: NetworkTraffic,
+    i: int,
+    ego: bool,
+    pose: tuple[float, float, float],
+    speed: float,
 ) -> None:
     """Place the ego, or a vehicle of the traffic, into column `i`: on the closest lane, which is also its target lane,
-    without a route. Its target speed is its speed."""
+    without a route. Its target speed is its speed. `pose` is x, y [m] and the heading [rad]."""
+    x, y, heading = pose
     f, g, p, lanes = traffic.f, traffic.g, traffic.p, traffic.lanes
     for k in range(F):
         f[k, i] = 0.0
@@ -187,16 +193,22 @@ def _at(row: GeneratorRow, scene: ResetTables, traffic: NetworkTraffic, spots: F
     heading = 0.0
     if choices[HEADED]:
         heading = heading_at(lanes, lane, s if math.isnan(numbers[FACING]) else numbers[FACING])
-    place_vehicle(scene, traffic, i, choices[ROLE] == EGO_ROW, x, y, heading, speed)
+    place_vehicle(scene, traffic, i, choices[ROLE] == EGO_ROW, (x, y, heading), speed)
     spots[0, i], spots[1, i] = lane, s
 
 
 @kernel_no_refcount
 def _free(
-    scene: ResetTables, traffic: NetworkTraffic, spots: FloatArray, i: int, lane: int, s: float, x: float, y: float
+    scene: ResetTables,
+    traffic: NetworkTraffic,
+    spots: FloatArray,
+    i: int,
+    spot: tuple[int, float],
+    here: tuple[float, float],
 ) -> bool:
-    """Whether a position is far enough from those of the first `i` vehicles."""
-    f = traffic.f
+    """Whether a position is far enough from those of the first `i` vehicles. It is at `spot`, a lane and s on it [m],
+    and at `here`, x and y [m]."""
+    f, (lane, s), (x, y) = traffic.f, spot, here
     for j in range(i):
         if scene.along:
             if spots[0, j] == lane and not abs(s - spots[1, j]) > scene.apart:
@@ -219,11 +231,11 @@ def _scattered(
         lane = scene.roads[road, 0] + below(row, scene.roads[road, 1])
         s = uniform(row, scene.stretches[lane, 0], scene.stretches[lane, 1])
         x, y = place(lanes, lane, s)
-        if not _free(scene, traffic, spots, i, lane, s, x, y):
+        if not _free(scene, traffic, spots, i, (lane, s), (x, y)):
             continue
         speed = _drawn(row, choices[DRAWN], numbers[START_SPEED], numbers[START_SPEED_SPREAD])
         heading = heading_at(lanes, lane, s) if choices[HEADED] else 0.0
-        place_vehicle(scene, traffic, i, False, x, y, heading, speed)
+        place_vehicle(scene, traffic, i, False, (x, y, heading), speed)
         spots[0, i], spots[1, i] = lane, s
         return True
     return False
@@ -247,7 +259,7 @@ def _queue(row: GeneratorRow, scene: ResetTables, traffic: NetworkTraffic, i: in
         s = along if j == 0 else max(s, along)
     s += offset * uniform(row, 0.9, 1.1)
     x, y = place(lanes, lane, s)
-    place_vehicle(scene, traffic, i, choices[ROLE] == EGO_ROW, x, y, heading_at(lanes, lane, s), speed)
+    place_vehicle(scene, traffic, i, choices[ROLE] == EGO_ROW, (x, y, heading_at(lanes, lane, s)), speed)
 
 
 @kernel_no_refcount

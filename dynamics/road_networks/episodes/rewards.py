@@ -93,6 +93,13 @@ def _speed_loss(traffic: NetworkTraffic, lane: int, vehicles: int) -> float:
     return total
 
 
+@kernel_inline
+def _is_on_road(traffic: NetworkTraffic, ego: int) -> bool:
+    """Whether the ego is on its lane."""
+    f = traffic.f
+    return on_lane(traffic.lanes.rows, traffic.g[LANE, ego], f[ALONG, ego], f[ACROSS, ego], 0.0)
+
+
 @kernel_no_refcount
 def _parts(
     traffic: NetworkTraffic,
@@ -101,10 +108,10 @@ def _parts(
     ego: int,
     vehicles: int,
     action: int,
-    on_road: float,
     parts: FloatArray,
 ) -> None:
     """The terms of the reward, in the order of `NAMES`, to `parts`, (5,)."""
+    on_road = 1.0 if _is_on_road(traffic, ego) else 0.0
     f, g, ids = traffic.f, traffic.g, traffic.lanes.ids
     lane, target, kind = g[LANE, ego], g[TARGET, ego], worth.kind
     crashed, speed, beside = float(g[CRASHED, ego]), f[SPEED, ego], 1.0 if action == 0 or action == 2 else 0.0
@@ -144,9 +151,9 @@ def reward_of_decision(
 ) -> tuple[float, bool]:
     """The reward of a decision, and whether it ends the episode; the terms of the reward to `parts`, (5,)."""
     f, g, kind = traffic.f, traffic.g, worth.kind
-    on = on_lane(traffic.lanes.rows, g[LANE, ego], f[ALONG, ego], f[ACROSS, ego], 0.0)
+    on = _is_on_road(traffic, ego)
     on_road = 1.0 if on else 0.0
-    _parts(traffic, worth, target_speeds, ego, vehicles, action, on_road, parts)
+    _parts(traffic, worth, target_speeds, ego, vehicles, action, parts)
     reward = 0.0
     for k in range(len(parts)):
         reward += worth.weights[k] * parts[k]

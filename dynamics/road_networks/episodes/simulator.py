@@ -179,7 +179,7 @@ class RoadSimulator:
 
         def part(k: int, first: int, last: int) -> None:
             rules, work = self.scenario.rules, self._works[k]
-            step_all(self.machine, self.episodes, rules, work, self.flat, given, first, last, again)
+            step_all(self.machine, self.episodes, rules, work, self.flat, given, (first, last, again))
 
         self._slices.run(part, checked_steps(self.num_envs, which))
         self.check_capacity()

@@ -9,13 +9,18 @@ from numpy.typing import NDArray
 
 from dynamics.compiled import kernel_no_refcount
 from dynamics.highway_simulator.arrays import Machine
-from dynamics.highway_simulator.layout import CRASHED, EGO, KIND, SPEED, TARGET_SPEED
+from dynamics.highway_simulator.layout import CRASHED, EGO, KIND, SPEED
 from dynamics.highway_simulator.random import seed_row
-from dynamics.road_networks.episodes.arrivals import ArrivalRules, clear_and_spawn, spawn_intersection
-from dynamics.road_networks.episodes.observe import AHEAD, RoadObservationConfig, kinematics
+from dynamics.road_networks.episodes.arrivals import (
+    ArrivalRules,
+    IntersectionRules,
+    clear_and_spawn,
+    spawn_intersection,
+)
+from dynamics.road_networks.episodes.observe import AHEAD, KinematicsWork, RoadObservationConfig, kinematics
 from dynamics.road_networks.episodes.placing import ResetTables, place_row
-from dynamics.road_networks.episodes.rewards import RewardRules, index_of_speed, reward_of_decision
-from dynamics.road_networks.episodes.time_to_collision import time_ahead
+from dynamics.road_networks.episodes.rewards import RewardRules, reward_of_decision
+from dynamics.road_networks.episodes.time_to_collision import TimeAheadWork, time_ahead
 from dynamics.road_networks.geometry.layout import FRAMES
 from dynamics.road_networks.simulation.frame_kernels import (
     NetworkRules,
@@ -100,7 +105,7 @@ def _restart(machine: Machine, episodes: Episodes, rules: EpisodeRules, work: Ep
     worlds, row, scene = episodes.worlds, episodes.rows[e], rules.scene
     worlds.clock[e], episodes.decisions[e] = 0.0, 0
     if len(rules.coming.arms) > 0:
-        spawn_intersection(machine, worlds, rules.drive, scene, rules.coming, work.drive, row, e)
+        spawn_intersection(machine, worlds, IntersectionRules(rules.drive, scene, rules.coming), work.drive, row, e)
         return
     f, g, p = worlds.f[e], worlds.g[e], worlds.p[e]
     traffic, n = traffic_of(machine, worlds, rules.drive.network, e), 0
@@ -134,11 +139,10 @@ def _show(
     worlds, view = episodes.worlds, rules.sight
     ego, traffic = ego_of(worlds.g[e]), traffic_of(machine, worlds, rules.drive.network, e)
     if view.kind == AHEAD:
-        speeds = rules.drive.target_speeds
-        index = index_of_speed(speeds, traffic.f[TARGET_SPEED, ego])
-        time_ahead(traffic, view, ego, speeds, index, worlds.counts[e, 0], work.stack, work.ahead, out)
+        buffers = TimeAheadWork(work.stack, work.ahead)
+        time_ahead(traffic, view, ego, rules.drive.target_speeds, worlds.counts[e, 0], buffers, out)
         return
-    kinematics(episodes.rows[e], traffic, view, ego, work.near, work.away, work.seen, out)
+    kinematics(episodes.rows[e], traffic, view, ego, KinematicsWork(work.near, work.away, work.seen), out)
 
 
 @kernel_no_refcount
@@ -176,9 +180,8 @@ def finish(
     cut = worth.decisions > 0 and episodes.decisions[e] >= worth.decisions
     seen.truncated[e] = cut or worlds.clock[e] >= worth.duration
     if len(rules.coming.arms) > 0:
-        has_space = clear_and_spawn(
-            machine, worlds, rules.drive, rules.scene, rules.coming, work.drive, episodes.rows[e], e
-        )
+        constants = IntersectionRules(rules.drive, rules.scene, rules.coming)
+        has_space = clear_and_spawn(machine, worlds, constants, work.drive, episodes.rows[e], e)
         seen.full[e] = seen.full[e] or not has_space
 
 
@@ -222,12 +225,11 @@ def step_all(
     work: EpisodeWork,
     seen: RoadStepResults,
     actions: FloatArray,
-    first: int,
-    last: int,
-    again: bool,
+    part: tuple[int, int, bool],
 ) -> None:
-    """One decision in each of the environments from `first` to `last`, `last` excluded; with `again`, ended episodes
-    are reset."""
+    """One decision in each of the environments of a part: from its first to its last number, the last excluded. With
+    its third entry, ended episodes are reset."""
+    first, last, again = part
     for e in range(first, last):
         begin(machine, episodes, rules, e, actions[e])
         for _ in range(rules.drive.numbers[0]):

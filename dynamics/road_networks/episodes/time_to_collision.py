@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.compiled import kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import dot2, not_zero
-from dynamics.highway_simulator.layout import COS, LANE, LENGTH, SIN, SPEED
+from dynamics.highway_simulator.layout import COS, LANE, LENGTH, SIN, SPEED, TARGET_SPEED
 from dynamics.road_networks.episodes.observe import RoadObservationConfig
+from dynamics.road_networks.episodes.rewards import index_of_speed
 from dynamics.road_networks.geometry.layout import ALONG, COUNT, ID, ROAD, ROUTE, ROUTE_END
 from dynamics.road_networks.geometry.network import Network
 from dynamics.road_networks.geometry.routes import NetworkTraffic, on_lane_of
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["ROWS", "time_ahead"]
+__all__ = ["ROWS", "TimeAheadWork", "time_ahead"]
 
 ROWS = 9
 """Number of rows of the observation: three speeds by three lanes."""
@@ -102,32 +104,33 @@ def _fill(
             _note(grid, into, math.ceil(steps), 1.0 if k == 0 else 0.5)
 
 
+class TimeAheadWork(NamedTuple):
+    """Buffers of `time_ahead`: of `_leads`, and one of (greatest number of lanes of a road, steps)."""
+
+    stack: IntArray
+    buffer: FloatArray
+
+
 @kernel_no_refcount
 def time_ahead(
     traffic: NetworkTraffic,
     view: RoadObservationConfig,
     ego: int,
     target_speeds: FloatArray,
-    speed_index: int,
     vehicles: int,
-    stack: IntArray,
-    buffer: FloatArray,
+    work: TimeAheadWork,
     out: NDArray[np.float32],
 ) -> None:
     """Write the collisions at the ego's target speed and the next lower and higher, in its lane and those beside it, to
-    `out`, (ROWS, steps). Where there is no lane, the value is 1.
-
-    Parameters
-    ----------
-    stack : buffer of `_leads`. buffer : buffer, (greatest number of lanes of a road, steps), written.
-    """
+    `out`, (ROWS, steps). Where there is no lane, the value is 1."""
     ids, lane = traffic.lanes.ids, traffic.g[LANE, ego]
     count, index = ids[lane, COUNT], ids[lane, ID]
-    grid, filled = buffer[:count], -1
+    grid, filled = work.buffer[:count], -1
+    speed_index = index_of_speed(target_speeds, traffic.f[TARGET_SPEED, ego])
     for row in range(ROWS):
         speed = min(max(speed_index + row // 3 - 1, 0), len(target_speeds) - 1)
         if speed != filled:
-            _fill(traffic, view, ego, target_speeds[speed], vehicles, stack, grid)
+            _fill(traffic, view, ego, target_speeds[speed], vehicles, work.stack, grid)
             filled = speed
         other = index + row % 3 - 1
         for k in range(view.steps):

@@ -162,20 +162,18 @@ def _add_next_strips(
     bounds: DrivingBounds,
     subject: NetworkVehicle,
     strips: Strips,
-    drive: FloatArray,
-    first: int,
     count: int,
     j: int,
 ) -> int:
-    """Add the strips that strip j leads to. A vehicle with a route follows it, until the route ends or does not
-    continue from here.
+    """Add the strips that strip j leads to, after the first `count`. A vehicle with a route follows it, until the route
+    ends or does not continue from here.
 
     Returns
     -------
     The number of strips.
     """
     lane, row, route, numbers = strips.marks[j, 1], subject.row, subject.route, strips.numbers[j]
-    stop = stopping_distance_bound(row, bounds)
+    stop, first, drive = stopping_distance_bound(row, bounds), subject.first, subject.drive
     keeps = strips.marks[j, 2] == -1 and max(numbers[HIGH], -numbers[LOW]) <= numbers[CENTRED_HALF]
     if ways.over[lane] >= 0 and row[3] <= _WAITING_SPEED and keeps:
         return count
@@ -227,15 +225,15 @@ def add_all_strips(
         first, routed = count, False
         for k in range(routes.shape[1]):
             routed = routed or routes[i, k] > 0
-        subject = NetworkVehicle(i, rows[i], own[i], routes[i], routed)
-        count = add_present_strips(lanes, ways, bounds, subject, strips, first)
+        subject = NetworkVehicle(i, rows[i], own[i], routes[i], routed, drive[i], first)
+        count = add_present_strips(lanes, ways, bounds, subject, strips)
         _link_parents(ways, strips, first, min(count, room))
         drive[i, 0], drive[i, 1], drive[i, 2], drive[i, 3], drive[i, 4] = 0.0, _STRAIGHT, 1.0, _SLOW_SPEED, _GAIN
         j = first
         while j < min(count, room):
             off = max(-numbers[j, LOW], numbers[j, HIGH]) - 0.5 * rows[i, _WIDTH]
             _update_distance_bounds(lanes, bounds, marks[j, 1], off, drive[i])
-            count = _add_next_strips(lanes, ways, bounds, subject, strips, drive[i], first, count, j)
+            count = _add_next_strips(lanes, ways, bounds, subject, strips, count, j)
             j += 1
         if count > room:
             return count

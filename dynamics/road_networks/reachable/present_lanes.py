@@ -43,6 +43,7 @@ class NetworkVehicle(NamedTuple):
     ----------
     number : its index. row : its vehicle row, (7,). own : the lane that it is on.
     route : which roads are on its route, (roads,), see `prediction.spread`. limited : whether it keeps to them.
+    drive : bounds on its motion, (5,), see `prediction.add_all_strips`. first : index of its first strip.
     """
 
     number: int
@@ -50,6 +51,8 @@ class NetworkVehicle(NamedTuple):
     own: int
     route: IntArray
     limited: bool
+    drive: FloatArray
+    first: int
 
 
 class _Pose(NamedTuple):
@@ -203,7 +206,6 @@ def add_present_strips(
     bounds: DrivingBounds,
     subject: NetworkVehicle,
     strips: Strips,
-    first: int,
 ) -> int:
     """Add the strips of the lanes that a vehicle is on. Lanes of its route come before all others.
 
@@ -211,7 +213,8 @@ def add_present_strips(
     -------
     The number of strips.
     """
-    anywhere = NetworkVehicle(subject.number, subject.row, subject.own, subject.route, False)
+    first = subject.first
+    anywhere = NetworkVehicle(subject.number, subject.row, subject.own, subject.route, False, subject.drive, first)
     count = first
     if subject.limited:
         count = _chosen(lanes, ways, bounds, subject, strips, first)

@@ -8,7 +8,7 @@ import numpy as np
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arrays import Machine
-from dynamics.highway_simulator.collisions import collide
+from dynamics.highway_simulator.collisions import BodiesByX, collide
 from dynamics.highway_simulator.layout import (
     ACCELERATION,
     CONTINUOUS,
@@ -253,7 +253,7 @@ def move(machine: Machine, worlds: NetworkWorlds, rules: NetworkRules, work: Net
             continue
         g[LANE, i], f[ALONG, i], f[ACROSS, i] = closest(lanes, f[X, i], f[Y, i], f[HEADING, i], g[LANE, i])
     sort(f, order)
-    collide(machine.sums, machine.products, f, g, p, order, work.corners, work.pairs, vehicles, dt)
+    collide(machine, BodiesByX(f, g, p, order, vehicles), work.corners, work.pairs, dt)
 
 
 @kernel_no_refcount

@@ -172,7 +172,7 @@ class NetworkSimulator:
         if not 0 <= action < len(self.rules.labels):
             raise ConfigError(f"have actions 0 to {len(self.rules.labels) - 1}, not {action}")
         self._given[0] = action
-        _step(self.machine, self.worlds, self.rules, self._work, e, self._given, self._rows, self._on_road)
+        _step(self.machine, self.worlds, self.rules, self._work, e, self._given, (self._rows, self._on_road))
         return self._rows
 
     def go_on(self, frames: int, e: int = 0) -> tuple[FloatArray, BoolArray]:
@@ -184,7 +184,7 @@ class NetworkSimulator:
         As of `step`, (frames, m, 7), and whether the ego is on the road after each frame, (frames,).
         """
         rows, on_road = np.zeros((frames, self._bodies, 7)), np.zeros(frames, np.bool_)
-        _go_on(self.machine, self.worlds, self.rules, self._work, e, rows, on_road)
+        _go_on(self.machine, self.worlds, self.rules, self._work, e, (rows, on_road))
         return rows, on_road
 
     def hold(self, throttle: float, wheel: float, frames: int, e: int = 0) -> FloatArray:
@@ -218,10 +218,10 @@ def _go_on(
     rules: NetworkRules,
     work: NetworkWork,
     e: int,
-    rows: FloatArray,
-    on_road: BoolArray,
+    out: tuple[FloatArray, BoolArray],
 ) -> None:
-    """`NetworkSimulator.go_on` as a kernel."""
+    """`NetworkSimulator.go_on` as a kernel; `out` is its result, written."""
+    rows, on_road = out
     f, g, p = worlds.f[e], worlds.g[e], worlds.p[e]
     ego = ego_of(g)
     for k in range(rows.shape[0]):
@@ -239,9 +239,8 @@ def _step(
     work: NetworkWork,
     e: int,
     action: FloatArray,
-    rows: FloatArray,
-    on_road: BoolArray,
+    out: tuple[FloatArray, BoolArray],
 ) -> None:
-    """`NetworkSimulator.step` as a kernel."""
+    """`NetworkSimulator.step` as a kernel; `out` is its result, written."""
     begin(machine, worlds, rules, e, action)
-    _go_on(machine, worlds, rules, work, e, rows, on_road)
+    _go_on(machine, worlds, rules, work, e, out)

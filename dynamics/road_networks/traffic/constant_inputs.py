@@ -21,6 +21,7 @@ from dynamics.highway_simulator.layout import (
 from dynamics.highway_simulator.loops import at, at_two
 from dynamics.highway_simulator.motion import bicycle, limit
 from dynamics.road_networks.geometry.layout import DYNAMICAL, LATERAL_SPEED, YAW_RATE
+from dynamics.road_networks.geometry.routes import NetworkTraffic
 from dynamics.state import FloatArray, IntArray
 
 __all__ = ["predict_with_constant_inputs", "slipping_bicycle"]
@@ -82,11 +83,8 @@ def slipping_bicycle(loops: IntArray, products: int, f: FloatArray, i: int, dt: 
 
 @kernel_no_refcount
 def predict_with_constant_inputs(
-    loops: IntArray,
+    traffic: NetworkTraffic,
     products: int,
-    f: FloatArray,
-    g: IntArray,
-    p: FloatArray,
     work: FloatArray,
     busy: IntArray,
     i: int,
@@ -101,6 +99,7 @@ def predict_with_constant_inputs(
     work, busy : buffers, (4, m) and (m,), written. step : time between two instants [s].
     path : (instants, 6), written: x, y [m], heading [rad], its cosine and sine, and 1 as these two are known.
     """
+    f, g, p, loops = traffic.f, traffic.g, traffic.p, traffic.lanes.loops
     x, y, heading, speed, c, s = f[X, i], f[Y, i], f[HEADING, i], f[SPEED, i], f[COS, i], f[SIN, i]
     wheel, throttle, u, w = f[STEERING, i], f[ACCELERATION, i], f[LATERAL_SPEED, i], f[YAW_RATE, i]
     crashed, impacted = g[CRASHED, i], g[IMPACTED, i]

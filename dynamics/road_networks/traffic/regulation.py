@@ -203,7 +203,7 @@ def regulate(
         if g[YIELDS, i]:
             f[TARGET_SPEED, i], g[YIELDS, i] = lanes.rows[g[LANE, i], LANE_LIMIT], 0
         if g[KIND, i] == CONTINUOUS:
-            predict_with_constant_inputs(lanes.loops, products, f, g, traffic.p, work, busy, i, _STEP, paths[i])
+            predict_with_constant_inputs(traffic, products, work, busy, i, _STEP, paths[i])
         else:
             _predict_along_route(traffic, i, paths[i])
     for i in range(vehicles - 1):

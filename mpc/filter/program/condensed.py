@@ -112,7 +112,7 @@ def _compiled(
     high: list[Any] = [*way.high, INFINITY * ca.DM.ones(len(settings.moves))]
 
     aim = way.aim if aimed else None
-    h, g, cost = objective(settings, way.inputs, way.curvature, aim, way.near, way.weights, way.speed, way.scale)
+    h, g, cost = objective(settings, way, aimed)
     if aim is not None:
         for k, (x, by) in enumerate(zip(way.states, slopes, strict=True)):
             for i, weight, off in references(k, x, aim, way.weights):

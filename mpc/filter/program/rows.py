@@ -10,11 +10,16 @@ a move about the guess. S_k = d x_k / d w for the inputs' columns, (4, 2 moves),
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import casadi as ca
 
 from mpc.filter.problem import FilterSettings
 from mpc.filter.program.road_step import feed_forward
 from mpc.filter.program.sides import along
+
+if TYPE_CHECKING:
+    from mpc.filter.program.linearised import Linearised
 
 __all__ = ["SOFT", "TURNS", "Sensitivity", "end_function", "objective", "references", "row_function"]
 
@@ -73,32 +78,22 @@ def end_function(braking: float) -> ca.Function:
     return ca.Function("ends", [x, lon, lat], [values, ca.jacobian(values, x)])
 
 
-def objective(
-    settings: FilterSettings,
-    u: ca.SX,
-    curvature: ca.SX,
-    aim: ca.SX | None,
-    near: ca.SX,
-    weights: ca.SX,
-    speed: ca.SX,
-    scale: ca.DM,
-) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Hessian, gradient at the guess, and cost of the guess, without the terms of `references`.
-
-    `aim` is None without a reference.
-    """
+def objective(settings: FilterSettings, way: Linearised, aimed: bool) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Hessian, gradient at the guess, and cost of the guess, without the terms of `references`; `aimed` is whether
+    there is a reference."""
+    weights, scale = way.weights, way.scale
     moves = len(settings.moves)
     w = ca.SX.sym("w", 3 * moves)
     of = [j for j, length in enumerate(settings.moves) for _ in range(length)]
-    z = u / ca.repmat(scale, 1, settings.stages)
+    z = way.inputs / ca.repmat(scale, 1, settings.stages)
     moved = [z[:, k] + w[2 * j : 2 * j + 2] for k, j in enumerate(of)]
-    cost = ca.dot(weights[:2], (moved[0] - near / scale) ** 2)
+    cost = ca.dot(weights[:2], (moved[0] - way.near / scale) ** 2)
     for k in range(1, settings.stages):
         weight = weights[2] if k == 1 else settings.smoothing
-        center = ca.SX(0) if aim is None else aim[0, k]
-        off = moved[k] - ca.vertcat(0, feed_forward(curvature[k], center) / scale[1])
+        center = way.aim[0, k] if aimed else ca.SX(0)
+        off = moved[k] - ca.vertcat(0, feed_forward(way.curvature[k], center) / scale[1])
         cost += weight * ca.sumsqr(moved[k] - moved[k - 1])
-        lively = 1 + (speed / _STEERING_SPEED) ** 2
+        lively = 1 + (way.speed / _STEERING_SPEED) ** 2
         cost += settings.magnitude * off[0] ** 2 + settings.steadiness * lively * off[1] ** 2
         cost += settings.damping * lively * w[2 * of[k] + 1] ** 2
     slack = w[2 * moves :]

@@ -26,7 +26,7 @@ not needed.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import casadi as ca
@@ -145,7 +145,7 @@ def _compiled(
     way = linearised(settings, m, curved, model)
     aim = way.aim if aimed else None
     moves, n = len(settings.moves), settings.stages
-    h, g, cost = objective(settings, way.inputs, way.curvature, aim, way.near, way.weights, way.speed, way.scale)
+    h, g, cost = objective(settings, way, aimed)
     by_state, at_state = ca.SX(4 * n, 4 * n), ca.SX(4 * n, 1)
     for k in range(n if aim is not None else 0):
         for i, weight, off in references(k, way.states[k], way.aim, way.weights):
@@ -164,6 +164,22 @@ def _compiled(
     return function, rollout, _judged(settings, ca.triu(p).sparsity(), a.sparsity())
 
 
+def _row(
+    settings: FilterSettings, count: int, k: int | None, by_state: Any, move: int, by_input: Any, slack: float
+) -> ca.SX:
+    """`count` rows by the state of stage k, by the input of a move and by its slack."""
+    n, moves = settings.stages, len(settings.moves)
+    states = [ca.SX(count, 4) if i != k or by_state is None else by_state for i in range(n)]
+    inputs = [ca.SX(count, 2) if j != move or by_input is None else by_input for j in range(moves)]
+    slacks = [ca.SX(count, 1) if j != move or slack == 0 else slack * ca.SX.ones(count, 1) for j in range(moves)]
+    return ca.horzcat(*inputs, *states, *slacks)
+
+
+def _near(to_bound: ca.SX, far: float) -> ca.SX:
+    """Factor on the scale of a row: 1 without room, a half with the room `far`, 0 far away."""
+    return 1 / (1 + (ca.fmax(to_bound, 0) / far) ** 2)
+
+
 def _rows(settings: FilterSettings, way: Linearised, curvature: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
     """Rows in the order of the module's docstring, their bounds, and their scales.
 
@@ -173,13 +189,7 @@ def _rows(settings: FilterSettings, way: Linearised, curvature: ca.SX) -> tuple[
     of = [j for j, length in enumerate(settings.moves) for _ in range(length)]
     free = _deviations(settings, way, curvature)
 
-    def row(count: int, k: int | None, by_state: Any, move: int, by_input: Any, slack: float) -> ca.SX:
-        """`count` rows by the state of stage k, by the input of a move and by its slack."""
-        states = [ca.SX(count, 4) if i != k or by_state is None else by_state for i in range(n)]
-        inputs = [ca.SX(count, 2) if j != move or by_input is None else by_input for j in range(moves)]
-        slacks = [ca.SX(count, 1) if j != move or slack == 0 else slack * ca.SX.ones(count, 1) for j in range(moves)]
-        return ca.horzcat(*inputs, *states, *slacks)
-
+    row = partial(_row, settings)
     rows: list[ca.SX] = []
     lower: list[Any] = []
     upper: list[Any] = []
@@ -203,15 +213,12 @@ def _rows(settings: FilterSettings, way: Linearised, curvature: ca.SX) -> tuple[
     for j in range(moves):
         add(row(1, None, None, j, None, 1), nothing(1), INFINITY * one(1), c.slack * one(1))
 
-    def near(to_bound: ca.SX, far: float) -> ca.SX:
-        return 1 / (1 + (ca.fmax(to_bound, 0) / far) ** 2)
-
     k = 0
     for j, length in enumerate(settings.moves):
         for _ in range(length):
             jacobian, to_bound = way.rows[k]
-            along = c.along * free[k][0] ** -c.along_power * near(to_bound[:2], c.far_along)
-            across = free[k][1] ** -c.across_power * near(to_bound[2:], c.far_across)
+            along = c.along * free[k][0] ** -c.along_power * _near(to_bound[:2], c.far_along)
+            across = free[k][1] ** -c.across_power * _near(to_bound[2:], c.far_across)
             across *= ca.vertcat(c.across * one(4), c.corridor * one(2))
             add(row(SOFT, k, jacobian, j, None, -1), -INFINITY * one(SOFT), to_bound, ca.vertcat(along, across))
             k += 1
@@ -228,7 +235,7 @@ def _rows(settings: FilterSettings, way: Linearised, curvature: ca.SX) -> tuple[
     jacobian, to_bound = way.end
     kept = ca.vertcat(c.stop, c.drift * one(4), c.tangent * one(len(TANGENTS)))
     distance = ca.vertcat(
-        near(to_bound[0], c.far_along), near(to_bound[1:5], c.far_across), near(to_bound[5:], c.far_along)
+        _near(to_bound[0], c.far_along), _near(to_bound[1:5], c.far_across), _near(to_bound[5:], c.far_along)
     )
     power = [free[-1][i] ** -p for i, p in ((0, c.along_power), (1, c.across_power))]
     moved = ca.vertcat(power[0], ca.repmat(power[1], 4, 1), ca.repmat(power[0], len(TANGENTS), 1))

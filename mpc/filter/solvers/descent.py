@@ -62,81 +62,120 @@ def descend(program: ProblemArrays, solver: QuadraticSolver[Any], guess: FloatAr
     deadline : value of `perf_counter` after which no further linearisation begins [s]; inf for none.
     """
     settings = program.settings
-    low, high = program.limits
-    moves = np.repeat(np.arange(len(settings.moves)), settings.moves)
     program.free_sides()
-    np.clip(guess, low, high, out=program.inputs)
-    wanted, near = program.wanted, 2 * settings.settled * program.scale
-    slack = change = primal = dual = np.inf
-    active, sweeps, solved, best, exact = 0, 0, 0.0, np.inf, True
-    kept = program.inputs.copy()
-    status = Status.UNSETTLED
-    while sweeps < settings.sweeps:
+    np.clip(guess, *program.limits, out=program.inputs)
+    so_far = _Progress(program.inputs.copy())
+    while so_far.sweeps < settings.sweeps:
         if perf_counter() >= deadline:
-            status = Status.TIME_LIMIT
+            so_far.status = Status.TIME_LIMIT
             break
-        program.linearise()
-        program.keep_sides()
-        if sweeps == 0:
-            best = program.merit
-        mark = perf_counter()
-        answer = solver.solve(program)
-        solved += perf_counter() - mark
-        sweeps += 1
-        if answer.x is None or not np.isfinite(answer.x).all():
-            status = Status.ERROR
+        _sweep(program, solver, so_far)
+        if so_far.status is Status.ERROR:
             break
-        step = answer.x[: 2 * len(settings.moves)].reshape(-1, 2)
-        before = program.inputs[0].copy()
-        program.inputs += (step * program.scale)[moves]
-        np.clip(program.inputs, low, high, out=program.inputs)
-        program.roll_out()
-        change = float(np.abs((program.inputs[0] - before) / program.scale).max() / 2)
-        if sweeps > 1 and program.merit >= best:
-            program.inputs[:] = 0.5 * (program.inputs + kept)
-            program.roll_out()
-            change = max(change, float(np.abs((program.inputs[0] - kept[0]) / program.scale).max() / 2))
-        if program.merit < best:
-            best, kept = program.merit, program.inputs.copy()
-        slack, primal, dual = max(float(answer.x[step.size :].max()), 0.0), answer.primal, answer.dual
-        exact = answer.exact
-        active += answer.active
         if program.violation[0] < settings.tolerance:
-            if (
-                wanted is not None
-                and bool((np.abs(program.inputs[0] - wanted) < near).all())
-                and _adopt(program, wanted)
-            ):
-                change, exact = 0.0, True
-            if exact and change < settings.settled:
+            wanted = program.wanted
+            if wanted is not None and _is_near(program, wanted) and _adopt(program, wanted):
+                so_far.change, so_far.exact = 0.0, True
+            if so_far.exact and so_far.change < settings.settled:
                 break
-    holds, settled = program.violation[0] < settings.tolerance, exact and change < settings.settled
-    if status is not Status.ERROR and sweeps > 0 and not (holds and settled):
+    return _result(program, so_far)
+
+
+@dataclass(slots=True, eq=False)
+class _Progress:
+    """Progress of a descent.
+
+    Attributes
+    ----------
+    kept, best : the best inputs so far, (N, 2), and their merit.
+    exact : whether the last solution is exact. The others as in `Descent`.
+    """
+
+    kept: FloatArray
+    best: float = np.inf
+    exact: bool = True
+    status: Status = Status.UNSETTLED
+    slack: float = np.inf
+    change: float = np.inf
+    primal: float = np.inf
+    dual: float = np.inf
+    active: int = 0
+    sweeps: int = 0
+    solved: float = 0.0
+
+
+def _sweep(program: ProblemArrays, solver: QuadraticSolver[Any], so_far: _Progress) -> None:
+    """Linearise, solve and step once. The status is an error if there is no solution."""
+    moves = len(program.settings.moves)
+    program.linearise()
+    program.keep_sides()
+    if so_far.sweeps == 0:
+        so_far.best = program.merit
+    mark = perf_counter()
+    answer = solver.solve(program)
+    so_far.solved += perf_counter() - mark
+    so_far.sweeps += 1
+    if answer.x is None or not np.isfinite(answer.x).all():
+        so_far.status = Status.ERROR
+        return
+    _step(program, answer.x[: 2 * moves].reshape(-1, 2) * program.scale, so_far)
+    so_far.slack, so_far.primal, so_far.dual = max(float(answer.x[2 * moves :].max()), 0.0), answer.primal, answer.dual
+    so_far.exact = answer.exact
+    so_far.active += answer.active
+
+
+def _step(program: ProblemArrays, step: FloatArray, so_far: _Progress) -> None:
+    """Change the inputs of each move by a step, (moves, 2). If the plan becomes worse than the best so far, go half way
+    from the best one."""
+    before, scale = program.inputs[0].copy(), program.scale
+    program.inputs += np.repeat(step, program.settings.moves, axis=0)
+    np.clip(program.inputs, *program.limits, out=program.inputs)
+    program.roll_out()
+    so_far.change = float(np.abs((program.inputs[0] - before) / scale).max() / 2)
+    if so_far.sweeps > 1 and program.merit >= so_far.best:
+        program.inputs[:] = 0.5 * (program.inputs + so_far.kept)
+        program.roll_out()
+        so_far.change = max(so_far.change, float(np.abs((program.inputs[0] - so_far.kept[0]) / scale).max() / 2))
+    if program.merit < so_far.best:
+        so_far.best, so_far.kept = program.merit, program.inputs.copy()
+
+
+def _result(program: ProblemArrays, so_far: _Progress) -> Descent:
+    """Result of a descent, with the best inputs if it has not converged to a plan."""
+    settings, status = program.settings, so_far.status
+    settled = so_far.exact and so_far.change < settings.settled
+    if status is not Status.ERROR and so_far.sweeps > 0 and not (program.violation[0] < settings.tolerance and settled):
         # Return the best inputs so far; a guess that still satisfies the constraints is a plan.
-        program.inputs[:] = kept
+        program.inputs[:] = so_far.kept
         program.roll_out()
         status = Status.UNSETTLED if program.violation[0] < settings.tolerance else status
     violation = float(program.violation[0])
-    if sweeps == 0 or not (np.isfinite(program.states).all() and np.isfinite(violation)):
+    if so_far.sweeps == 0 or not (np.isfinite(program.states).all() and np.isfinite(violation)):
         status = Status.ERROR if status is not Status.TIME_LIMIT else status
         violation = np.inf
     elif status is Status.UNSETTLED:
-        status = _status_of(violation, slack, settings.tolerance, settled)
+        status = _status_of(violation, so_far.slack, settings.tolerance, settled)
     return Descent(
         status,
         program.inputs.copy(),
         _without_reverse(program),
         program.states.copy(),
         program.sides.copy(),
-        slack,
+        so_far.slack,
         violation,
-        change,
-        primal,
-        dual,
-        active,
-        sweeps,
-        solved,
+        so_far.change,
+        so_far.primal,
+        so_far.dual,
+        so_far.active,
+        so_far.sweeps,
+        so_far.solved,
     )
+
+
+def _is_near(program: ProblemArrays, wanted: FloatArray) -> bool:
+    """Whether the first input has all but converged to the proposal."""
+    near = 2 * program.settings.settled * program.scale
+    return bool((np.abs(program.inputs[0] - wanted) < near).all())
 
 
 def _adopt(program: ProblemArrays, wanted: FloatArray) -> bool:

@@ -22,7 +22,7 @@ from shield.certificate.road.clauses.others import TOUCH
 from shield.certificate.road.manoeuvres import Manoeuvres, brake_candidates
 from shield.certificate.road.monitor import ParkingMonitor, RoadMonitor
 from shield.certificate.road.nesting import shrink_bounds
-from shield.certificate.road.verify import Binding, Clearance, PathVerifier, footprint_of
+from shield.certificate.road.verify import Binding, Clearance, PathVerifier, SceneBefore, footprint_of
 from shield.config import ShieldConfig
 
 __all__ = ["FailSafe", "Memory", "ObservedScene", "observe"]
@@ -110,10 +110,7 @@ class ObservedScene:
             last.owned,
             None,
             None,
-            watch.obliged,
-            last.comes,
-            stored,
-            self.memory.entered,
+            SceneBefore(watch.obliged, last.comes, stored, self.memory.entered),
         )
 
     @cached_property
@@ -169,7 +166,8 @@ def observe(
     watch = watch.of(same, len(scene.others))
     visible, owned, coming = _lanes(last, scene, config, frames, lane, watch.obliged, same)
     followers = None if last is None else watch.obliged
-    verifier = PathVerifier(scene, config, visible, owned, around, None, followers, coming, lane, memory.entered)
+    earlier = SceneBefore(followers, coming, stored=lane, entered=memory.entered)
+    verifier = PathVerifier(scene, config, visible, owned, around, None, earlier)
 
     def separations() -> FloatArray:
         if fail_safe is not None:

@@ -59,6 +59,7 @@ __all__ = [
     "Binding",
     "Clearance",
     "PathVerifier",
+    "SceneBefore",
     "footprint_of",
     "least_bad",
     "least_bad_evasion",
@@ -137,6 +138,26 @@ class Clearance:
         return Binding(CLAUSES[int(self.binds[0, i])], int(self.binds[1, i]))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneBefore:
+    """What a verifier takes from the scene before.
+
+    Attributes
+    ----------
+    followers : vehicles with a distance obligation, (m,) bool; none by default.
+    coming : whether each vehicle could enter each lane, (lanes, m) bool; by default those that may now.
+    stored, entered : lane in which the stored plan stops, and lane that it enters on the way; None if there is none.
+    """
+
+    followers: Any = None
+    coming: Any = None
+    stored: int | None = None
+    entered: int | None = None
+
+
+_FIRST_SCENE = SceneBefore()
+
+
 class PathVerifier:
     """Judges trajectories in one scene. Everything that depends on the scene alone is computed once.
 
@@ -148,16 +169,13 @@ class PathVerifier:
     owned : lanes that the ego owns, (lanes,) bool; the one that it is in by default.
     around : the scene's surroundings, if they have been built already.
     ignored : vehicles to leave out, (m,) bool; none by default.
-    followers : vehicles with a distance obligation in the scene before, (m,) bool; none by default.
-    coming : whether each vehicle could enter each lane in the scene before, (lanes, m) bool; by default those that may
-        now.
-    stored, entered : lane in which the stored plan stops, and lane that it enters on the way; None if there is none.
+    before : what is known from the scene before.
 
     Attributes
     ----------
     size : the ego's footprint. behind, in_owned_lane : see `RoadVehicles`, (m,) bool.
     comes : whether each vehicle may enter each lane, (lanes, m).
-    plan : `stored` and `entered`, -1 for None.
+    plan : `SceneBefore.stored` and `SceneBefore.entered`, -1 for None.
     """
 
     def __init__(
@@ -168,13 +186,10 @@ class PathVerifier:
         owned: Any = None,
         around: OtherVehicles | None = None,
         ignored: Any = None,
-        followers: Any = None,
-        coming: Any = None,
-        stored: int | None = None,
-        entered: int | None = None,
+        before: SceneBefore = _FIRST_SCENE,
     ) -> None:
         self.ignored = _NOBODY if ignored is None else ignored
-        self.plan = -1 if stored is None else stored, -1 if entered is None else entered
+        self.plan = -1 if before.stored is None else before.stored, -1 if before.entered is None else before.entered
         self.scene, self.config, self.visible = scene, config, visible
         road, state, a, lanes = scene.road, scene.ego_road, config.assumptions, scene.road.centers.size
         if owned is None:
@@ -200,7 +215,10 @@ class PathVerifier:
         self._vehicles = VehicleTables(around.others, around.states, around.tables)
         self._ego = EgoArrays(scene.ego, state, self._size)
         ground = LaneState(road.centers, self.owned, in_sight)
-        earlier = EarlierVehicles(_NOBODY if followers is None else followers, _NO_LANES if coming is None else coming)
+        earlier = EarlierVehicles(
+            _NOBODY if before.followers is None else before.followers,
+            _NO_LANES if before.coming is None else before.coming,
+        )
         out = SceneBuffers(self._of_others, cutting_in, np.empty((m, 4), np.bool_))
         count = prepare_scene(self._vehicles, self._ego, ground, self._settings, self.plan, earlier, out)
         flags = self._of_others.flags

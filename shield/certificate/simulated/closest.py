@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
@@ -10,6 +12,7 @@ from dynamics.highway_simulator.layout import SPEED, TARGET, TARGET_SPEED
 from dynamics.highway_simulator.scene import next_target_speed, speed_index
 from shield.certificate.simulated.node_budget import has_budget
 from shield.certificate.simulated.search import (
+    PreferredActions,
     begin_action,
     copy_future,
     depth_first,
@@ -98,17 +101,18 @@ def _deepest(nodes: LaneSpeedNodes, count: int) -> int:
     return best
 
 
+class _Wanted(NamedTuple):
+    """The sequence that is searched for, as in `best_plan`."""
+
+    only: int
+    never: int
+    depth: int
+    command: LaneSpeedTarget
+    floor: float
+
+
 @kernel_no_refcount
-def _expand(
-    search: TrafficSearch,
-    parent: int,
-    count: int,
-    only: int,
-    never: int,
-    depth: int,
-    command: LaneSpeedTarget,
-    floor: float,
-) -> int:
+def _expand(search: TrafficSearch, parent: int, count: int, wanted: _Wanted) -> int:
     """Simulate every action from a node, or from the present, and keep the best way to each lane and speed of the next
     level. Return the number of nodes."""
     futures, speeds, nodes, tried = search.futures, search.rules.target_speeds, search.nodes, search.reached[0]
@@ -116,13 +120,13 @@ def _expand(
     level, source = (0, 0) if parent == NOBODY else (nodes.level[parent], first + parent)
     for action in range(search.order.shape[0]):
         tried[action, 0] = -1.0
-        if level == 0 and (action == never or only not in (ANY, action)):
+        if level == 0 and (action == wanted.never or wanted.only not in (ANY, action)):
             continue
         tried[action, 0], tried[action, 1] = begin_action(search, source, spare, action)
         if repeats(tried, action):
             continue
-        least, cost = finish_action(search, spare, command, floor)
-        if least < floor:
+        least, cost = finish_action(search, spare, wanted.command, wanted.floor)
+        if least < wanted.floor:
             continue
         ego = ego_in(search, spare)
         speed = speed_index(speeds, futures.f[spare, TARGET_SPEED, ego])
@@ -132,10 +136,10 @@ def _expand(
             continue
         if parent != NOBODY:
             least, cost = min(least, nodes.clear[parent]), cost + nodes.cost[parent]
-        if floor < 0:
+        if wanted.floor < 0:
             cost = bound = -least
         else:
-            bound = cost + _bound_to_lose(search, spare, depth - level - 1, command.speed)
+            bound = cost + _bound_to_lose(search, spare, wanted.depth - level - 1, wanted.command.speed)
         if not bound < (np.inf if slot == NOBODY else nodes.bound[slot]):
             continue
         if slot == NOBODY:
@@ -148,14 +152,14 @@ def _expand(
 
 
 @kernel_no_refcount
-def _best_node(search: TrafficSearch, only: int, never: int, depth: int, command: LaneSpeedTarget, floor: float) -> int:
+def _best_node(search: TrafficSearch, wanted: _Wanted) -> int:
     """The last node of the plan that `best_plan` finds, with its sequence in `search.plan`; `NOBODY` if there is
     none."""
-    nodes = search.nodes
+    nodes, depth = search.nodes, wanted.depth
     for level in range(depth):
         for k in range(nodes.slots.shape[1]):
             nodes.slots[level, k] = NOBODY
-    node, count = NOBODY, _expand(search, NOBODY, 0, only, never, depth, command, floor)
+    node, count = NOBODY, _expand(search, NOBODY, 0, wanted)
     while True:
         node = _next(nodes, count) if has_budget(search) else NOBODY
         if node == NOBODY:
@@ -164,7 +168,7 @@ def _best_node(search: TrafficSearch, only: int, never: int, depth: int, command
         nodes.open[node] = False
         if nodes.level[node] == depth:
             break
-        count = _expand(search, node, count, only, never, depth, command, floor)
+        count = _expand(search, node, count, wanted)
     found = node
     while node != NOBODY:
         search.plan[nodes.level[node] - 1] = nodes.action[node]
@@ -192,7 +196,7 @@ def best_plan(
     -------
     Number of decisions for which it stays clear, and its least clearance beyond the buffer [m], -inf if there is none.
     """
-    nodes, node = search.nodes, _best_node(search, only, never, depth, command, floor)
+    nodes, node = search.nodes, _best_node(search, _Wanted(only, never, depth, command, floor))
     if node == NOBODY:
         return 0, -np.inf
     return nodes.level[node], nodes.clear[node]
@@ -202,11 +206,8 @@ def best_plan(
 def clear_plan(search: TrafficSearch, only: int, never: int, command: LaneSpeedTarget) -> float:
     """Least clearance beyond the buffer [m] of the plan that `best_plan` finds, -inf if it does not keep the buffer for
     the whole horizon."""
-    nodes, depth, node = (
-        search.nodes,
-        search.bounds.depth,
-        _best_node(search, only, never, search.bounds.depth, command, 0.0),
-    )
+    nodes, depth = search.nodes, search.bounds.depth
+    node = _best_node(search, _Wanted(only, never, depth, command, 0.0))
     if node == NOBODY or nodes.level[node] < depth:
         return -np.inf
     margin = nodes.clear[node]
@@ -229,7 +230,8 @@ def _go_on_from(search: TrafficSearch, node: int) -> float:
         search.reached[level, 0, 0], search.reached[level, 0, 1] = begin_action(
             search, level, spare, search.hint[level]
         )
-    lasts, margin, _ = depth_first(search, search.hint[0], search.hint, known, known, 0.0, search.bounds.budget)
+    preferred = PreferredActions(search.hint[0], search.hint, known)
+    lasts, margin, _ = depth_first(search, preferred, known, 0.0, search.bounds.budget)
     return extend_past_crossing(search, search.plan[0], margin) if lasts == depth else -np.inf
 
 
@@ -238,7 +240,8 @@ def closest_plan(search: TrafficSearch, proposed: int, command: LaneSpeedTarget)
     """The sequence that loses the least distance against a target command over its first `lookahead` decisions, into
     `search.plan`. It does not begin with the proposal, and stays clear for the whole horizon. Return its least
     clearance beyond the buffer [m], -inf if none is found."""
-    lookahead, node = search.bounds.lookahead, _best_node(search, ANY, proposed, search.bounds.lookahead, command, 0.0)
+    lookahead = search.bounds.lookahead
+    node = _best_node(search, _Wanted(ANY, proposed, lookahead, command, 0.0))
     if node == NOBODY or search.nodes.level[node] < lookahead:
         return -np.inf
     margin = _go_on_from(search, node)

@@ -21,7 +21,13 @@ from shield.certificate.simulated.closest import (
 )
 from shield.certificate.simulated.dead_ends import clear_dead_ends
 from shield.certificate.simulated.node_budget import grant_last_budget
-from shield.certificate.simulated.search import depth_first, find_sequence, same_outcome, set_root_scene
+from shield.certificate.simulated.search import (
+    PreferredActions,
+    depth_first,
+    find_sequence,
+    same_outcome,
+    set_root_scene,
+)
 from shield.certificate.simulated.traffic import ego_in
 from shield.certificate.simulated.workspace import ANY, TrafficSearch
 from shield.decision import Reason, Tier
@@ -135,7 +141,8 @@ def longest_sequence(search: TrafficSearch, stored: IntArray, length: int) -> tu
     depth, lasts, margin = search.bounds.depth, 0, -np.inf
     grant_last_budget(search)
     if length > 0:
-        lasts, margin, _ = depth_first(search, ANY, stored, length, 0, _ANY_CLEARANCE, search.bounds.budget)
+        preferred = PreferredActions(ANY, stored, length)
+        lasts, margin, _ = depth_first(search, preferred, 0, _ANY_CLEARANCE, search.bounds.budget)
         _copy(search.plan, search.hint, lasts)
     if lasts < depth:
         further, clear = best_plan(search, ANY, ANY, depth, stopping_cost(search), _ANY_CLEARANCE)
@@ -146,7 +153,8 @@ def longest_sequence(search: TrafficSearch, stored: IntArray, length: int) -> tu
         # That search keeps one future for each lane and speed. The future with the largest clearance now may still be
         # hit later.
         clear_dead_ends(search)
-        further, clear, _ = depth_first(search, ANY, search.hint, lasts, 0, _ANY_CLEARANCE, search.bounds.budget)
+        preferred = PreferredActions(ANY, search.hint, lasts)
+        further, clear, _ = depth_first(search, preferred, 0, _ANY_CLEARANCE, search.bounds.budget)
         if further > lasts:
             return further, clear
     _copy(search.hint, search.plan, lasts)

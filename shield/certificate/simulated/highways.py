@@ -6,9 +6,10 @@ from pathlib import Path
 
 from dynamics.state import BoolArray, IntArray
 from shield.batch.filtered import FilteredHighways
+from shield.batch.step_kernels import BatchPart, DecisionInputs, FrameRecords
 from shield.certificate.simulated.decision_kernels import empty_plans
 from shield.certificate.simulated.masking import mask_all
-from shield.certificate.simulated.step_kernels import step_all_simulated
+from shield.certificate.simulated.step_kernels import SimulatedShields, step_all_simulated
 from shield.certificate.simulated.workspace import new_search
 from shield.config import ShieldConfig
 from shield.supported_environments import check, require
@@ -59,21 +60,15 @@ class SimulatedHighways(FilteredHighways):
         self.plans.length[e] = 0
 
     def _decide(self, part: int, first: int, last: int, actions: IntArray, orders: IntArray, again: bool) -> None:
-        simulator = self.simulator
+        simulator, search = self.simulator, self._searches[part]
         step_all_simulated(
-            self._searches[part],
+            SimulatedShields(search, self.plans, self.records),
             simulator.worlds,
             simulator.scenario.view,
             simulator.flat,
-            self.plans,
-            self.records,
-            actions,
-            orders,
-            self.rows,
-            self.off_road,
-            first,
-            last,
-            again,
+            DecisionInputs(actions, orders, search.given),
+            FrameRecords(self.rows, self.off_road),
+            BatchPart(first, last, again),
         )
 
     def _mask(self, part: int, first: int, last: int, masks: BoolArray) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from dynamics.compiled import kernel_no_refcount
 from dynamics.state import FloatArray, IntArray
-from shield.certificate.simulated.search import depth_first, set_root_scene, simulate_sequence
+from shield.certificate.simulated.search import PreferredActions, depth_first, set_root_scene, simulate_sequence
 from shield.certificate.simulated.traffic import ego_in, frame, hold, sorted_in
 from shield.certificate.simulated.workspace import ANY, TrafficSearch
 
@@ -39,7 +39,7 @@ def simulate_refused(
         before = simulate_sequence(search, planned, 0, rows)
         hold(search, 0, inputs[0], inputs[1])
         frame(search, 0, sorted_in(search, 0))
-    lasts, _, _ = depth_first(search, action, planned, planned.shape[0], 0, 0.0, 2 * depth)
+    lasts, _, _ = depth_first(search, PreferredActions(action, planned, planned.shape[0]), 0, 0.0, 2 * depth)
     # Up to here the buffer is kept; afterwards the ego slows down.
     for k in range(lasts, depth):
         search.plan[k] = worst

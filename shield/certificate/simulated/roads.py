@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 
@@ -28,12 +28,11 @@ from dynamics.road_networks.geometry.layout import ACROSS, ALONG, FRAMES
 from dynamics.road_networks.simulation.frame_kernels import NetworkWorlds, advance, ego_of
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.traffic.crossing import make
-from shield.batch.arrays import BatchRecords
 from shield.batch.codes import TIERS
-from shield.batch.step_kernels import let_pass
-from shield.certificate.simulated.decision_kernels import StoredSequences, decide
+from shield.batch.step_kernels import BatchPart, DecisionInputs, FrameRecords, let_pass
+from shield.certificate.simulated.decision_kernels import decide
 from shield.certificate.simulated.highways import SimulatedHighways
-from shield.certificate.simulated.workspace import TrafficSearch
+from shield.certificate.simulated.step_kernels import SimulatedShields
 from shield.config import ShieldConfig
 from shield.decision import Tier
 from shield.errors import ConfigError
@@ -136,23 +135,14 @@ class SimulatedRoads(SimulatedHighways):
         raise ConfigError("scenes are chosen on straight highways only")
 
     def _decide(self, part: int, first: int, last: int, actions: IntArray, orders: IntArray, again: bool) -> None:
-        simulator = self.simulator
+        simulator, search = self.simulator, self._searches[part]
         _step_all(
-            self._searches[part],
-            simulator.episodes,
-            simulator.scenario.rules,
-            self._works[part],
-            simulator.flat,
-            self.plans,
-            self.records,
-            actions,
-            orders,
-            self.rows,
-            self.off_road,
+            _Roads(simulator.episodes, simulator.scenario.rules, self._works[part], simulator.flat),
+            SimulatedShields(search, self.plans, self.records),
             self.config.mode == "none",
-            first,
-            last,
-            again,
+            DecisionInputs(actions, orders, search.given),
+            FrameRecords(self.rows, self.off_road),
+            BatchPart(first, last, again),
         )
         simulator.check_capacity()
 
@@ -178,45 +168,47 @@ def _write_rows(worlds: NetworkWorlds, rules: EpisodeRules, e: int, rows: FloatA
     return on_lane(lanes, g[LANE, ego], f[ALONG, ego], f[ACROSS, ego], 0.0)
 
 
+class _Roads(NamedTuple):
+    """The environments on one network, and what a step of them reads and writes."""
+
+    episodes: Episodes
+    rules: EpisodeRules
+    work: EpisodeWork
+    seen: RoadStepResults
+
+
 @kernel_no_refcount
 def _step_all(
-    search: TrafficSearch,
-    episodes: Episodes,
-    rules: EpisodeRules,
-    work: EpisodeWork,
-    seen: RoadStepResults,
-    plans: StoredSequences,
-    records: BatchRecords,
-    actions: IntArray,
-    orders: IntArray,
-    rows: FloatArray,
-    off_road: BoolArray,
+    roads: _Roads,
+    shield: SimulatedShields,
     off: bool,
-    first: int,
-    last: int,
-    again: bool,
+    inputs: DecisionInputs,
+    frames: FrameRecords,
+    part: BatchPart,
 ) -> None:
-    """One decision in each of the environments from `first` to `last`; see `step_kernels.step_all_exact`.
+    """One decision in each of the environments of a part; see `step_kernels.step_all_simulated`.
 
     Parameters
     ----------
     off : whether the proposals are executed without verification.
     """
-    machine, worlds = search.machine, episodes.worlds
-    for e in range(first, last):
+    episodes, rules, work, seen = roads
+    search, plans, records = shield
+    machine, worlds, given = search.machine, episodes.worlds, inputs.given
+    for e in range(part.first, part.last):
         if off:
-            let_pass(records, e, actions[e])
+            let_pass(records, e, inputs.actions[e])
         else:
-            decide(search, plans, records, worlds, e, actions[e], orders[e])
-        search.given[0], search.given[1] = records.executed[e], 0.0
-        begin(machine, episodes, rules, e, search.given)
+            decide(search, plans, records, worlds, e, inputs.actions[e], inputs.orders[e])
+        given[0], given[1] = records.executed[e], 0.0
+        begin(machine, episodes, rules, e, given)
         for k in range(rules.drive.numbers[0]):
             records.tiers[e, k], records.reasons[e, k], records.margins[e, k] = _OFF, 0, math.nan
             advance(machine, worlds, rules.drive, work.drive, e)
-            off_road[e, k] = not _write_rows(worlds, rules, e, rows[e, k])
-        finish(machine, episodes, rules, work, seen, e, search.given)
+            frames.off_road[e, k] = not _write_rows(worlds, rules, e, frames.rows[e, k])
+        finish(machine, episodes, rules, work, seen, e, given)
         # The traffic is the one that was simulated, so no vehicle present can deviate.
         records.violations[e] = 0
-        if again and (seen.terminated[e] or seen.truncated[e]):
+        if part.again and (seen.terminated[e] or seen.truncated[e]):
             start_next_episode(machine, episodes, rules, work, seen, e)
             plans.length[e] = 0

@@ -10,7 +10,7 @@ A *future* is a copy of the traffic's state, in which the search simulates; futu
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -45,6 +45,7 @@ from shield.certificate.simulated.traffic import (
 from shield.certificate.simulated.workspace import ANY, LaneSpeedTarget, SearchLimits, TrafficSearch
 
 __all__ = [
+    "PreferredActions",
     "begin_action",
     "clearance",
     "copy_future",
@@ -67,6 +68,8 @@ _AT_REST = 1.0
 _LEAVE = 2
 """Decisions that may be simulated, for each decision of the horizon, to find a sequence that does not end on a
 crossing. From the second search on it is one."""
+_NO_MORE, _TRIED = -2, -1
+"""Stand for no further action, and for an action that has been tried."""
 _JOIN = 2 / 3
 """Share of its budget that a sequence may spend on joining the stored sequence again, if it begins with another
 action."""
@@ -257,25 +260,45 @@ def ends_on_crossing(search: TrafficSearch, k: int, sequence: IntArray, margin: 
     return True
 
 
+class PreferredActions(NamedTuple):
+    """Actions that a depth-first search tries first.
+
+    Attributes
+    ----------
+    first : action that the sequence begins with; `ANY` for any.
+    stored : actions that are tried first at each level, except for the given first action, (depth,), of which `length`
+        are valid; elsewhere slowing down is tried first.
+    """
+
+    first: int
+    stored: IntArray
+    length: int
+
+
+@kernel_inline
+def _action_to_try(search: TrafficSearch, preferred: PreferredActions, level: int, tried: int) -> int:
+    """The action that is tried at a level after `tried` others; -1 if it has been tried already, and `_NO_MORE` if all
+    have."""
+    if level == 0 and preferred.first != ANY:
+        return preferred.first if tried == 0 else _NO_MORE
+    if tried > search.order.shape[0]:
+        return _NO_MORE
+    before_all: int = preferred.stored[level] if level < preferred.length else search.order[0]
+    if tried == 0:
+        return before_all
+    action: int = search.order[tried - 1]
+    return _TRIED if action == before_all else action
+
+
 @kernel_no_refcount
 def depth_first(
-    search: TrafficSearch,
-    first: int,
-    stored: IntArray,
-    length: int,
-    known: int,
-    floor: float,
-    budget: int,
-    leaves: bool = False,
+    search: TrafficSearch, preferred: PreferredActions, known: int, floor: float, budget: int, leaves: bool = False
 ) -> tuple[int, float, bool]:
     """Depth-first search for a sequence that stays clear for the whole horizon, into `search.plan`. If none is found,
     the first of the longest ones that were tried.
 
     Parameters
     ----------
-    first : action that it begins with; `ANY` for any.
-    stored : actions that are tried first at each level, except for the given first action, (depth,), of which `length`
-        are valid; elsewhere slowing down is tried first.
     known : number of levels for which the futures and the other buffers are valid already.
     floor : least clearance beyond the buffer [m]. budget : number of decisions that may be simulated.
     leaves : whether a sequence for the whole horizon may not end on a crossing (`on_crossing`).
@@ -285,25 +308,23 @@ def depth_first(
     Number of decisions for which the sequence stays clear, its least clearance beyond the buffer [m], and whether the
     budget was spent before all sequences had been tried.
     """
-    bounds, n, level, lasts = search.bounds, search.order.shape[0], known, known
+    bounds, level, lasts = search.bounds, known, known
     until = min(search.nodes_used[0] + budget - known, search.nodes_used[1])
     search.least[0] = np.inf
     clear, search.choices[known] = search.least[known], 0
     while level >= 0 and lasts < bounds.depth and search.nodes_used[0] < until:
         tried = search.choices[level]
         search.choices[level] += 1
-        only = level == 0 and first != ANY
-        if tried > (0 if only else n):
+        action = _action_to_try(search, preferred, level, tried)
+        if action == _NO_MORE:
             if level > 0:
                 add_dead_end(search, level)
             level -= 1
             continue
-        preferred = stored[level] if level < length else search.order[0]
-        action = first if only else preferred if tried == 0 else search.order[tried - 1]
-        search.reached[level, tried, 0] = -1.0
-        if not only and tried > 0 and action == preferred:
-            continue
         reached = search.reached[level]
+        reached[tried, 0] = -1.0
+        if action == _TRIED:
+            continue
         reached[tried, 0], reached[tried, 1] = begin_action(search, level, level + 1, action)
         if repeats(reached, tried):
             continue
@@ -332,7 +353,7 @@ def extend_past_crossing(search: TrafficSearch, first: int, margin: float) -> fl
     if not ends_on_crossing(search, depth, search.plan, margin):
         return margin
     budget = depth if once else _LEAVE * depth
-    lasts, margin, _ = depth_first(search, first, going, depth, 0, 0.0, budget, True)
+    lasts, margin, _ = depth_first(search, PreferredActions(first, going, depth), 0, 0.0, budget, True)
     return margin if lasts == depth else -np.inf
 
 
@@ -354,8 +375,9 @@ def find_sequence(search: TrafficSearch, first: int, stored: IntArray, length: i
     lasts, margin, exhausted = 0, -np.inf, True
     if length > 0 and not begins and not search.bounds.straight:
         joins = math.ceil(_JOIN * budget)
-        lasts, margin, exhausted = depth_first(search, first, stored, length, 0, 0.0, joins)
+        lasts, margin, exhausted = depth_first(search, PreferredActions(first, stored, length), 0, 0.0, joins)
         budget -= joins
     if lasts < depth and exhausted:
-        lasts, margin, exhausted = depth_first(search, first, stored, length if begins else 0, 0, 0.0, budget)
+        preferred = PreferredActions(first, stored, length if begins else 0)
+        lasts, margin, exhausted = depth_first(search, preferred, 0, 0.0, budget)
     return (extend_past_crossing(search, search.plan[0], margin) if lasts == depth else -np.inf), exhausted

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from dynamics.compiled import dispatch_by_field_type, kernel_inline, kernel_no_refcount
@@ -19,7 +18,7 @@ __all__ = ["copy_more", "ego_in", "frame", "hold", "lanes_beside", "on_crossing"
 
 _advance, _begin, _ego_of, _on_way = networks.advance, networks.begin, networks.ego_of, networks.on_way
 _command, _hold = networks.command, networks.hold
-_advance_highway, _begin_highway = highways.advance, highways.begin
+_advance_highway, _begin_highway, _NO_INPUTS = highways.advance, highways.begin, highways.NO_INPUTS
 
 
 @kernel_no_refcount
@@ -54,7 +53,7 @@ def _sorts_itself(search: TrafficSearch, k: int) -> bool:
 
 @kernel_no_refcount
 def _frame_highway(search: TrafficSearch, k: int, level: bool) -> bool:
-    return _advance_highway(search.machine, search.futures, search.rules, search.work, k, level, math.nan, math.nan)
+    return _advance_highway(search.machine, search.futures, search.rules, search.work, k, level, _NO_INPUTS)
 
 
 @kernel_no_refcount

@@ -224,6 +224,41 @@ def _kinds(rules: Any) -> int:
     return len(rules.lanes if isinstance(rules, Rules) else rules.network.lanes) * len(rules.target_speeds)
 
 
+def _limits(config: ShieldConfig, period: float, straight: bool) -> SearchLimits:
+    """Limits of searches on a straight highway or on a network, with decisions of `period` [s]."""
+    depth = max(1, math.ceil((config.horizon if straight else config.network_horizon) / period - 1e-9))
+    lookahead = _LOOKAHEAD if straight else _LOOKAHEAD_ON_NETWORKS
+    return SearchLimits(
+        longitudinal=config.buffer.longitudinal,
+        lateral=config.buffer.lateral,
+        depth=depth,
+        lookahead=min(depth, max(1, round(lookahead / period))),
+        budget=_BUDGET * depth,
+        node_budget=(_NODE_BUDGET if straight else _NODE_BUDGET_ON_NETWORKS) * depth,
+        last=(_LAST if straight else _LAST_ON_NETWORKS) * depth,
+        straight=straight,
+        keep_right=_KEEP_RIGHT,
+        requested_side=0.0 if straight else _REQUESTED_SIDE,
+        spare=depth + 2,
+    )
+
+
+def _empty_nodes(depth: int, kinds: int) -> LaneSpeedNodes:
+    """Nodes of a search over `kinds` lanes and speeds."""
+    n, index = min(depth * kinds, _NODES), np.intp
+    return LaneSpeedNodes(
+        slots=np.full((depth, kinds), NOBODY, index),
+        cost=np.zeros(n),
+        bound=np.zeros(n),
+        clear=np.zeros(n),
+        level=np.zeros(n, index),
+        kind=np.zeros(n, index),
+        parent=np.zeros(n, index),
+        action=np.zeros(n, index),
+        open=np.zeros(n, np.bool_),
+    )
+
+
 def new_search(
     simulator: Simulator | NetworkSimulator,
     config: ShieldConfig,
@@ -241,31 +276,16 @@ def new_search(
         return old._replace(machine=simulator.machine, rules=simulator.rules, work=simulator.new_work())
     rules, index = simulator.rules, np.intp
     labels = rules.labels.tolist()
-    straight = isinstance(rules, Rules)
-    depth = max(1, math.ceil((config.horizon if straight else config.network_horizon) / rules.times[1] - 1e-9))
-    lookahead = _LOOKAHEAD if straight else _LOOKAHEAD_ON_NETWORKS
-    bounds = SearchLimits(
-        longitudinal=config.buffer.longitudinal,
-        lateral=config.buffer.lateral,
-        depth=depth,
-        lookahead=min(depth, max(1, round(lookahead / rules.times[1]))),
-        budget=_BUDGET * depth,
-        node_budget=(_NODE_BUDGET if straight else _NODE_BUDGET_ON_NETWORKS) * depth,
-        last=(_LAST if straight else _LAST_ON_NETWORKS) * depth,
-        straight=straight,
-        keep_right=_KEEP_RIGHT,
-        requested_side=0.0 if straight else _REQUESTED_SIDE,
-        spare=depth + 2,
-    )
-    kinds, order = _kinds(rules), np.array([labels.index(label) for label in _SAFEST_FIRST if label in labels], index)
+    bounds = _limits(config, rules.times[1], isinstance(rules, Rules))
+    depth, nodes = bounds.depth, _empty_nodes(bounds.depth, _kinds(rules))
+    order = np.array([labels.index(label) for label in _SAFEST_FIRST if label in labels], index)
     going = np.full(depth, order[-1], index)
-    n = min(depth * kinds, _NODES)
     return TrafficSearch(
         machine=simulator.machine,
         rules=rules,
         work=simulator.new_work(),
         bounds=bounds,
-        futures=simulator.new_worlds(bounds.spare + 1 + n),
+        futures=simulator.new_worlds(bounds.spare + 1 + len(nodes.cost)),
         order=order,
         given=np.zeros(2),
         row=np.zeros((1, 7)),
@@ -279,17 +299,7 @@ def new_search(
         other_egos=OtherEgos(
             np.zeros(other_ego_count, index), np.zeros((other_ego_count, depth + 1), index), np.zeros(1, index)
         ),
-        nodes=LaneSpeedNodes(
-            slots=np.full((depth, kinds), NOBODY, index),
-            cost=np.zeros(n),
-            bound=np.zeros(n),
-            clear=np.zeros(n),
-            level=np.zeros(n, index),
-            kind=np.zeros(n, index),
-            parent=np.zeros(n, index),
-            action=np.zeros(n, index),
-            open=np.zeros(n, np.bool_),
-        ),
+        nodes=nodes,
         dead_ends=DeadEnds(np.zeros(depth + 1, index), np.zeros((depth + 1, _DEAD_ENDS, 5))),
         resting=SequenceToCrossing(going, np.zeros(depth, index), np.zeros(1), np.zeros(1, np.bool_)),
     )

@@ -53,8 +53,8 @@ CLEARANCE = (
         "both sides at once off",
         EDGE,
         "lanes_touched",
-        "_ > 1",
-        "{1} > 9",
+        "_(_, _, _, _) > 1",
+        "{1}({2}, {3}, {4}, {5}) > 9",
         "tests/shield/certificate/road/clauses/test_kernels.py",
     ),
     off(

@@ -14,6 +14,25 @@ __all__ = ["lanes_touched", "verdicts"]
 
 
 @compiled
+def _half_extent(body: tuple[float, float, float], heading: float) -> float:
+    """Half of the body's extent across the road at a heading [rad], with its growth on a curve [m]."""
+    length, width, growth = body
+    return 0.5 * (length * abs(math.sin(heading)) + width * abs(math.cos(heading))) + growth
+
+
+@compiled
+def _count_entered(entering: BoolArray, fails: IntArray, entered: IntArray, i: int) -> int:
+    """Number of lanes that path i enters besides the lane that it stops in; the first of them is written to
+    `entered`."""
+    count = 0
+    for j in range(entering.shape[0] - 1, -1, -1):
+        if entering[j] and j != fails[i]:
+            entered[i] = j
+            count += 1
+    return count
+
+
+@compiled
 def lanes_touched(
     state: FloatArray,
     paths: FloatArray,
@@ -44,17 +63,15 @@ def lanes_touched(
     entered, allowed, on_road = fails.copy(), np.ones(n, np.bool_), np.full(n, frames)
     edges = np.empty((n, 2))
     first, last = centers[0] - side, centers[lanes - 1] + side
-    length, width, growth = body
     within, beside, entering = np.empty(lanes, np.bool_), np.empty(lanes, np.bool_), np.empty(lanes, np.bool_)
     for i in range(n):
-        half = 0.5 * (length * abs(math.sin(state[2])) + width * abs(math.cos(state[2]))) + growth
+        half = _half_extent(body, state[2])
         for j in range(lanes):
             offset = abs(state[1] - centers[j])
             within[j], beside[j], entering[j] = offset < TOUCH + half, offset < side + half, False
         least, most = np.inf, -np.inf
         for k in range(frames):
-            r, psi = paths[i, k, 1], paths[i, k, 2]
-            half = 0.5 * (length * abs(math.sin(psi)) + width * abs(math.cos(psi))) + growth
+            r, half = paths[i, k, 1], _half_extent(body, paths[i, k, 2])
             if not math.isfinite(r + half):
                 least, most, allowed[i], on_road[i] = np.nan, np.nan, False, 0
                 break
@@ -70,12 +87,7 @@ def lanes_touched(
                     entering[j] = True
                 within[j], beside[j] = inside, touches
         edges[i, 0], edges[i, 1] = least - first, last - most
-        count = 0
-        for j in range(lanes - 1, -1, -1):
-            if entering[j] and j != fails[i]:
-                entered[i] = j
-                count += 1
-        if count > 1:
+        if _count_entered(entering, fails, entered, i) > 1:
             allowed[i] = False
     return entered, edges, allowed, on_road
 

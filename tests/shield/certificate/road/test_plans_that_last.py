@@ -2,7 +2,7 @@
 at rest."""
 
 import numpy as np
-from clause_scenes import CONFIG, DT, along, scene_of
+from clause_scenes import CONFIG, DT, along, scene_of, verifier_of
 from cores import ShieldCore
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
@@ -11,7 +11,6 @@ from dynamics.scenes.scene import EgoControl, Scene, Target
 from dynamics.vehicle.controllers import KP_SPEED
 from dynamics.vehicle.rollouts import Rollouts
 from shield.certificate.road.manoeuvres import brake_candidates
-from shield.certificate.road.verify import PathVerifier
 from shield.pipelines.frames import _accelerations, capped_speeds
 
 LANES = 3
@@ -44,7 +43,7 @@ def test_a_verified_decision_verifies_in_its_first_frame(seed):
 def stopping(ego, follower, owned):
     """The margin of braking to a stop in lane 1 with a follower that owes the ego its distance; its strip, (2,) [m]."""
     scene = scene_of(ego, follower, lanes=LANES, lane=1)
-    verifier = PathVerifier(scene, CONFIG, followers=np.ones(1, bool), **{**OWNED, "owned": owned})
+    verifier = verifier_of(scene, CONFIG, followers=np.ones(1, bool), **{**OWNED, "owned": owned})
     candidates = brake_candidates(scene, [1], [0.0], [1], 0, CONFIG.braking)
     paths = candidates.paths(Rollouts(DT), scene.ego_road)
     margin = verifier.without_cut_ins().clearance(paths, candidates.lanes, candidates.fails).margin[0]

@@ -20,7 +20,13 @@ from shield.certificate.simulated.closest import best_plan, stopping_cost
 from shield.certificate.simulated.decision_kernels import longest_sequence
 from shield.certificate.simulated.highways import SimulatedHighways
 from shield.certificate.simulated.roads import SimulatedRoads
-from shield.certificate.simulated.search import depth_first, find_sequence, set_root_scene, simulate_action
+from shield.certificate.simulated.search import (
+    PreferredActions,
+    depth_first,
+    find_sequence,
+    set_root_scene,
+    simulate_action,
+)
 from shield.certificate.simulated.workspace import ANY, LaneSpeedTarget
 from shield.config import ShieldConfig
 from shield.decision import Tier
@@ -180,7 +186,7 @@ def test_a_proposal_that_cannot_join_the_stored_plan_slows_down(env_id, seed, de
     roads, search, stored, length = driven(env_id, seed, decisions)
     budget = search.bounds.budget
     set_root_scene(search, roads.worlds, 0)
-    assert depth_first(search, FASTER, stored, length, 0, 0.0, budget)[0] < search.bounds.depth
+    assert depth_first(search, PreferredActions(FASTER, stored, length), 0, 0.0, budget)[0] < search.bounds.depth
     set_root_scene(search, roads.worlds, 0)
     assert find_sequence(search, FASTER, stored, length)[0] >= 0
     assert search.nodes_used[0] <= budget + len(search.order)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from clause_scenes import CONFIG, DT, along, clear, driven, extents, scene_of
+from clause_scenes import CONFIG, DT, along, clear, driven, extents, scene_of, verifier_of
 from cores import ShieldCore
 
 from dynamics.traffic.assumptions import Assumptions
-from shield.certificate.road.verify import PathVerifier
 
 PUSHES = [("idm", 15, 20), ("rss", 25, 20), ("idm", 20, 40)]
 PUSHES += [("rss", 15, 20)]
@@ -78,7 +77,7 @@ def test_a_follower_owes_its_distance_until_the_ego_has_left_its_strip():
         scene = scene_of((0, r, 0, 5), (-12, 0, 0, 25))
         marks = {"owned": [False, True, False, False]}
         held = [
-            PathVerifier(scene, CONFIG, followers=np.array([f]), **marks).others.in_owned_lane[0] for f in (False, True)
+            verifier_of(scene, CONFIG, followers=np.array([f]), **marks).others.in_owned_lane[0] for f in (False, True)
         ]
         assert held == [False, duty]
     scene = scene_of((0, 2.4, 0, 5), (-12, 0, 0, 25))
@@ -91,7 +90,7 @@ def test_a_follower_is_behind_until_it_touches_the_buffer(front, owed, behind):
     """Beside the rearmost corner of a turned ego; the other corner of its buffer is further ahead."""
     scene = scene_of((0, 0, 0.3, 5), (front - 2.5, -1.6, 0, 5))
     assert 4.5 * np.cos(0.3) + 1.3 * np.sin(0.3) > 4.6
-    assert PathVerifier(scene, CONFIG, followers=np.array([owed])).others.behind[0] == behind
+    assert verifier_of(scene, CONFIG, followers=np.array([owed])).others.behind[0] == behind
 
 
 def test_a_lane_is_owned_only_with_a_verified_plan_and_while_the_ego_touches_it():

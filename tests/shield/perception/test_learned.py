@@ -194,7 +194,7 @@ def test_a_changed_sensor_gets_the_widest_bounds_and_no_guarantee():
     env, perception = driven("metric-2", 3, monitor=True)
     assert not env.last_decision.alarm
     before = env.filter.reader.read()
-    env.env._shares = 3.0 * env.env._shares
+    env.env._range_shares = 3.0 * env.env._range_shares
     *_, info = env.step(3)
     env.step(3)
     assert perception.alarmed
@@ -206,7 +206,7 @@ def test_a_changed_sensor_gets_the_widest_bounds_and_no_guarantee():
     assert (scene.ids == -1).all()
     assert np.median(scene.others[:, 4]) > np.median(before.others[:, 4]) + 4.0
     env, perception = driven("metric-2", 3)
-    env.env._shares = 3.0 * env.env._shares
+    env.env._range_shares = 3.0 * env.env._range_shares
     env.step(3)
     assert not env.last_decision.alarm
 

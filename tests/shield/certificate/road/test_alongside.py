@@ -40,7 +40,7 @@ def plan(scene: Scene) -> np.ndarray:
 
 def judged(scene: Scene, config: ShieldConfig = CONFIG) -> float:
     lanes = np.zeros(1, dtype=np.intp)
-    return float(PathVerifier(scene, config).clearance(plan(scene), lanes, lanes).slipping.min(initial=np.inf))
+    return float(PathVerifier(scene, config).clearance(plan(scene), lanes, lanes).cutting_in.min(initial=np.inf))
 
 
 def worst_overlap(scene: Scene, beyond: float = 0.2) -> float:

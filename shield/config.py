@@ -262,7 +262,8 @@ class ShieldConfig:
 
     @classmethod
     def of(cls, config: ShieldConfig | str | Path | None, default: ShieldConfig | None = None) -> ShieldConfig:
-        """Settings from a user's argument: settings, the path of a TOML file, or None for the default.
+        """Settings from a user's argument: settings, "simulated", "worst-case", or the path of a TOML file; with None
+        the default.
 
         Raises
         ------
@@ -271,6 +272,10 @@ class ShieldConfig:
         """
         if config is None:
             return default if default is not None else cls()
+        if config == SIMULATED:
+            return cls.simulated_traffic()
+        if config == WORST_CASE:
+            return cls()
         if isinstance(config, str | Path):
             return cls.load(config)
         if not isinstance(config, ShieldConfig):

@@ -67,7 +67,7 @@ def has_network(setting: Setting) -> bool:
         env.close()
 
 
-class _Found(Exception):
+class _HoleFound(Exception):
     """Signals the end of the search."""
 
 
@@ -115,14 +115,14 @@ def search_roads(
                 driven.extend(drive(rows))
                 points_of.extend(rows)
                 if any(each.hole for each in driven[-len(rows) :]) or len(driven) == episodes:
-                    raise _Found
+                    raise _HoleFound
             return np.array([each.performance for each in driven[first:]])
 
         try:
             if drawn:
                 performance(np.random.default_rng(seed).standard_normal((episodes, numbers.count)))
             subset_simulation(performance, numbers.count, LEVEL, _SHARE, seed, jumps=1)
-        except _Found:
+        except _HoleFound:
             pass
     return _result(setting, config, numbers, driven, points_of)
 

@@ -165,3 +165,10 @@ def test_both_wrappers_take_settings_or_their_file_and_refuse_anything_else(wrap
         wrap(env, "full")
     with pytest.raises(ConfigError, match="must be a ShieldConfig or the path of a TOML file, got 3"):
         wrap(env, 3)
+
+
+def test_the_names_of_the_profiles_are_settings():
+    assert ShieldConfig.of("simulated") == ShieldConfig.simulated_traffic()
+    assert ShieldConfig.of("worst-case") == ShieldConfig()
+    with pytest.raises(ConfigError, match="worst_case"):
+        ShieldConfig.of("worst_case")

@@ -129,6 +129,7 @@ def composite(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
     colour = np.concatenate([150 + 105 * faster, 150 - 100 * np.abs(faster), 150 - 105 * faster], axis=-1)
     picture = (70 * drivable + 150 * markings) / 255 * np.ones(3)
     picture = picture * (1 - others) + colour * others
-    shade = ego / 255
-    picture = picture * (1 - np.minimum(4 * shade, 1)) + np.array([60, 230, 90]) * np.minimum(4 * shade, 1)
+    # A standing ego has a quarter of the brightness, and is opaque all the same.
+    opaque = np.minimum(4 * ego / 255, 1)
+    picture = picture * (1 - opaque) + np.array([60, 230, 90]) * opaque
     return np.asarray(np.clip(picture + 0.5, 0, 255), np.uint8)

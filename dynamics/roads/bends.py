@@ -10,6 +10,7 @@ rectangle that contains it. A bicycle that follows the bend points inwards by it
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -64,7 +65,11 @@ class Bends:
             self._grown[key] = float(along.max(initial=0.0)), float(across.max(initial=0.0)) + self.deviation
         return self._grown[key]
 
+    @cached_property
+    def tightest(self) -> float:
+        """Greatest curvature of the path of a vehicle anywhere on the road [1/m]."""
+        return max(abs(k) / (1 - k * r) for k in (self.least, self.greatest) for r in (self.low, self.high))
+
     def slip_angle(self, length: float) -> float:
         """Greatest angle to the path [rad] of a vehicle of a given length [m] that keeps its lane."""
-        tightest = max(abs(k) / (1 - k * r) for k in (self.least, self.greatest) for r in (self.low, self.high))
-        return float(np.arcsin(min(0.5 * length * tightest, 1.0))) + (_KINK if self.deviation > 0 else 0.0)
+        return float(np.arcsin(min(0.5 * length * self.tightest, 1.0))) + (_KINK if self.deviation > 0 else 0.0)

@@ -67,6 +67,8 @@ class Assumptions:
     marking_tolerance : how far a body may reach over a lane marking before it counts as in the next lane as well [m].
     lateral_deviation : greatest lateral deviation of a body from the centre of its lane, while it keeps to the centre
         [m].
+    bend_acceleration : lateral acceleration up to which vehicles take the bends of a road [m/s^2]. A faster vehicle
+        violates a rule only where the ego's fail-safe loses its room.
     follower_braking : least deceleration of a follower behind an ego that has entered its lane [m/s^2].
     reaction_time : time until the follower brakes [s], counted from when the ego is visible in its lane.
     visible_distance : distance from a lane's centre within which a vehicle counts as in the lane [m].
@@ -102,6 +104,7 @@ class Assumptions:
     runout_time: float = 1.25
     marking_tolerance: float = 0.15
     lateral_deviation: float = 0.25
+    bend_acceleration: float = 10.0
     follower_braking: float = 6.0
     reaction_time: float = 0.2
     visible_distance: float = 3.0

@@ -50,6 +50,7 @@ __all__ = [
     "VehiclesOnRoad",
     "buffer_shape",
     "constant_velocity",
+    "curvature_of",
     "derive_tables",
     "horizons",
     "motion_settings",
@@ -211,6 +212,11 @@ def derive_tables(
         bodies.noses[0, i], bodies.noses[1, i] = nose[0], nose[1]
 
 
+def curvature_of(road: Road) -> float:
+    """Greatest curvature of any vehicle's path on a road [1/m]; 0 on a straight road."""
+    return 0.0 if road.bends is None else float(road.bends.tightest)
+
+
 def buffer_shape(m: int, frames: int) -> tuple[int, int, int]:
     """Shape of the buffer `ways` of `derive_tables`, for m vehicles and a number of coming frames."""
     return 7, max(frames, 3), max(frames, m, 2)
@@ -236,6 +242,7 @@ class OtherVehicles:
     stretch : least and greatest metres of s in a metre driven, (2, m); no columns on a straight road.
     motion, settings : bounds on the motion, and the same as an array.
     lap : length of a closed road, 0 of an open one [m].
+    curvature : greatest of any vehicle's path [1/m]; 0 on a straight road.
     """
 
     def __init__(
@@ -252,6 +259,7 @@ class OtherVehicles:
         self.others, self.states, self.assumptions, self.dt = others, states, assumptions, float(dt)
         self.motion, self.settings = motion_settings(assumptions, self.dt)
         self.lap = float(getattr(road, "length", 0.0)) if getattr(road, "closed", False) else 0.0
+        self.curvature = curvature_of(road)
         self.tables = Tables.empty(len(states), *horizons(self.dt))
         tolerances = assumptions.marking_tolerance, assumptions.lateral_deviation
         lanes = LaneMarkings(road.centers, float(road.width), *tolerances, self.dt)

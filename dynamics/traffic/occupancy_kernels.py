@@ -24,6 +24,7 @@ __all__ = [
     "least_rest_positions",
     "rear_of",
     "rears",
+    "straight_overshoot",
     "touched_lanes",
     "update_turning_allowances",
 ]
@@ -49,6 +50,17 @@ class LaneMarkings(NamedTuple):
     marking_tolerance: float
     lateral_deviation: float
     dt: float
+
+
+@kernel_inline
+def straight_overshoot(curvature: float, length: float, distance: float) -> float:
+    """How far a body leaves its bend within a frame of straight motion [m]. highway-env tests for crashes with such
+    motion.
+
+    The nose of a body of length L that drives d on the tangent of a path of curvature k deviates by k (L/2 + d)^2 / 2.
+    The part k L^2 / 8 is the chord of the body, which `dynamics.roads.footprint` contains.
+    """
+    return 0.5 * curvature * distance * (length + distance)
 
 
 @kernel_no_refcount

@@ -8,7 +8,7 @@ to the next, a vehicle may:
    `reversing_speed`;
 2. *way*: advance along the road by its speed, less what turning takes (`turning_loss`, `turning_action` and the rates
    at which they recover), and move sideways by no more than its speed. Its heading may take more from the coming
-   frame's distance where the ego's fail-safe keeps its room;
+   frame's distance where the ego's fail-safe keeps its room, and so may its speed on a bend (`bend_acceleration`);
 3. *lanes*: stay in the lanes that its body touches. It may touch another lane where the ego's fail-safe keeps its room;
 4. *reversing*: reverse behind a vehicle ahead in its lanes, to at most `queue_distance` from it; further where the
    ego's fail-safe keeps its room;
@@ -33,27 +33,24 @@ from __future__ import annotations
 
 import math
 from enum import IntFlag
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount, row_as_tuple
 from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
-from dynamics.traffic.assumptions import Assumptions
+from dynamics.traffic.motion_limits import ROUNDING, MotionBounds, MotionLimits, limits_of
 from dynamics.traffic.occupancy import OtherVehicles
-from dynamics.traffic.occupancy_kernels import lap_distance, least_next_position
+from dynamics.traffic.occupancy_kernels import lap_distance, least_next_position, straight_overshoot
 from dynamics.traffic.tables import Bodies, Motion, VehicleTables, bodies_in, motion_of
 
 __all__ = [
     "EgoFootprint",
-    "MotionLimits",
     "RoadRule",
     "RuleViolations",
     "check_motions",
     "footprint",
     "gap_between",
-    "limits_of",
     "rule_violations",
 ]
 
@@ -62,9 +59,6 @@ _SPEED, _WAY, _LANES, _REVERSING, _DISTANCE, _CRASH, _BRAKING, _APPEARED, _SIZE 
 _TOUCHING = 2.0
 """Distance below which two bodies count as crashed into one another: highway-env moves them apart in the frame of a
 crash [m]."""
-_ROUNDING = 1e-9
-"""Bound on rounding errors of an acceleration, a speed or a distance [m/s^2, m/s, m]. No tolerance beyond it is given,
-as tolerances of single frames would add up: the fail-safe is checked for every growth of a bound above it."""
 _STRAIGHT = 1e-6
 """Share of the coming frame's distance that a heading may always take."""
 _SIDEWAYS = 1.0001
@@ -133,40 +127,6 @@ class EgoFootprint(NamedTuple):
     wrecked: bool = False
 
 
-class _Limits(NamedTuple):
-    """The limits that `check_motions` checks, with the rounding tolerance.
-
-    Attributes
-    ----------
-    braking, acceleration, power, fastest, reversing, slow : from `Assumptions` [m/s^2, m^2/s^3, m/s].
-    period : time between the scenes [s], of `frames` frames. lap : length of a closed road, 0 of an open one [m].
-    """
-
-    braking: float
-    acceleration: float
-    power: float
-    fastest: float
-    reversing: float
-    slow: float
-    period: float
-    lap: float
-    frames: float
-
-
-class MotionLimits(NamedTuple):
-    """What `check_motions` compares a motion with.
-
-    Attributes
-    ----------
-    stretch : see `dynamics.traffic.occupancy_kernels.rear_of`. settings : the numbers of `Motion`.
-    row : the limits, of `limits_of`.
-    """
-
-    stretch: FloatArray
-    settings: FloatArray
-    row: FloatArray
-
-
 @kernel_no_refcount
 def gap_between(ego: EgoFootprint, along: float, across: float, rows: FloatArray, i: int, dt: float) -> float:
     """Greatest gap along the directions of the sides of two rectangles [m], see `dynamics.scenes.rectangles`, while
@@ -208,21 +168,21 @@ class _Progress(NamedTuple):
 
 
 @kernel_inline
-def _breaks_speed(limits: _Limits, it: _Progress) -> bool:
+def _breaks_speed(limits: MotionBounds, it: _Progress) -> bool:
     """Rule 1, *speed*."""
     rate, hardest = (it.v - it.v0) / limits.period, limits.braking
     if it.wrecked:
         slowest, dt = it.v0, limits.period / limits.frames
         for _ in range(int(limits.frames)):
             slowest -= max(limits.braking, slowest) * dt
-        hardest = max((it.v0 - slowest) / limits.period + _ROUNDING, limits.braking)
-    sped = not it.v <= max(it.v0, limits.fastest) + _ROUNDING or not it.v >= -limits.reversing
-    most_rate = min(limits.acceleration, limits.power / max(it.v0, 1e-3) + _ROUNDING)
+        hardest = max((it.v0 - slowest) / limits.period + ROUNDING, limits.braking)
+    sped = not it.v <= max(it.v0, limits.fastest) + ROUNDING or not it.v >= -limits.reversing
+    most_rate = min(limits.acceleration, limits.power / max(it.v0, 1e-3) + ROUNDING)
     return sped or not (-hardest <= rate <= most_rate)
 
 
 @kernel_inline
-def _breaks_way(limits: _Limits, it: _Progress, most: float, budget: float, action: float) -> bool:
+def _breaks_way(limits: MotionBounds, it: _Progress, most: float, budget: float, action: float) -> bool:
     """Rule 2, *way*: the displacement, and what turning takes.
 
     Parameters
@@ -230,11 +190,11 @@ def _breaks_way(limits: _Limits, it: _Progress, most: float, budget: float, acti
     most : greatest metres of s in a metre driven. budget, action : turning allowances that are left.
     """
     way = it.v0 * limits.period
-    back = not it.ds >= min(way, 0.0) * most - _ROUNDING
-    ahead = not it.ds <= max(way, 0.0) * most + _ROUNDING
-    if back or ahead or not abs(it.dr) <= abs(way) * _SIDEWAYS + _ROUNDING:
+    back = not it.ds >= min(way, 0.0) * most - ROUNDING
+    ahead = not it.ds <= max(way, 0.0) * most + ROUNDING
+    if back or ahead or not abs(it.dr) <= abs(way) * _SIDEWAYS + ROUNDING:
         return True
-    return not min(budget, action) >= -_ROUNDING
+    return not min(budget, action) >= -ROUNDING
 
 
 @kernel_inline
@@ -246,17 +206,17 @@ def _heads_off(i: int, states: FloatArray, stretch: FloatArray, motion: Motion, 
     coming = v * math.cos(states[i, 2]) * motion.dt
     if (1 - _STRAIGHT) * v * motion.dt <= coming <= max(v, 0.0) * motion.dt:
         return False
-    forth = coming <= max(v, 0.0) * motion.dt + _ROUNDING
+    forth = coming <= max(v, 0.0) * motion.dt + ROUNDING
     if stretch.shape[1] > 0:
         coming = min(coming * stretch[0, i], coming * stretch[1, i])
-    least = least_next_position(i, states, stretch, motion, bodies) - _ROUNDING
+    least = least_next_position(i, states, stretch, motion, bodies) - ROUNDING
     return not (forth and states[i, 0] + coming >= least)
 
 
 @kernel_inline
 def _touches_more(i: int, before: Bodies, now: Bodies) -> bool:
     """Rule 3, *lanes*: whether vehicle i may reach further across the road than before."""
-    return not (now.low[i] >= before.low[i] - _ROUNDING and now.high[i] <= before.high[i] + _ROUNDING)
+    return not (now.low[i] >= before.low[i] - ROUNDING and now.high[i] <= before.high[i] + ROUNDING)
 
 
 @kernel_inline
@@ -275,23 +235,35 @@ def _is_pushed(i: int, rows: FloatArray, ego: EgoFootprint, wrecked: bool) -> bo
 
 
 @kernel_inline
-def _brakes_harder(i: int, limits: _Limits, it: _Progress, brakes0: FloatArray, brakes: FloatArray) -> bool:
+def _brakes_harder(i: int, limits: MotionBounds, it: _Progress, brakes0: FloatArray, brakes: FloatArray) -> bool:
     """Rule 7, *braking*: whether vehicle i has braked harder than its bound, or may brake harder than by the bound
     before. The bounds, (m, K) each, are those before and now."""
     frames, allowed = int(limits.frames), 0.0
     for k in range(frames):
         allowed += brakes0[i, k] if k < brakes0.shape[1] else limits.braking
-    harder = not it.v0 - it.v <= (allowed + _ROUNDING) * limits.period / limits.frames
+    harder = not it.v0 - it.v <= (allowed + ROUNDING) * limits.period / limits.frames
     for k in range(brakes.shape[1] - frames):
-        harder = harder or brakes[i, k] > brakes0[i, k + frames] + _ROUNDING
+        harder = harder or brakes[i, k] > brakes0[i, k + frames] + ROUNDING
     return harder
+
+
+@kernel_inline
+def _overshoots_more(i: int, limits: MotionBounds, it: _Progress, rows0: FloatArray, rows: FloatArray) -> bool:
+    """Rule 2, *way*, for the speed of vehicle i on a bend: whether straight motion leads further off the bend than
+    before."""
+    if not limits.curvature > 0:
+        return False
+    dt, slowest = limits.period / limits.frames, limits.bend_speed
+    was = straight_overshoot(limits.curvature, rows0[i, _LENGTH], max(abs(it.v0), slowest) * dt)
+    now = straight_overshoot(limits.curvature, rows[i, _LENGTH], max(abs(it.v), slowest) * dt)
+    return not now <= was + ROUNDING
 
 
 @kernel_inline
 def _has_grown(i: int, rows0: FloatArray, rows: FloatArray) -> bool:
     """Rule 9, *size*."""
-    longer = not rows[i, _LENGTH] <= rows0[i, _LENGTH] + _ROUNDING
-    return longer or not rows[i, _WIDTH] <= rows0[i, _WIDTH] + _ROUNDING
+    longer = not rows[i, _LENGTH] <= rows0[i, _LENGTH] + ROUNDING
+    return longer or not rows[i, _WIDTH] <= rows0[i, _WIDTH] + ROUNDING
 
 
 @kernel_inline
@@ -310,7 +282,7 @@ def check_motions(
     before, after : the vehicles in the scene before and in this scene, in the same order.
     behind, ego : see `rule_violations`.
     """
-    limits, motion = _Limits(*row_as_tuple(bounds.row, 9)), motion_of(bounds.settings)
+    limits, motion = MotionBounds(*row_as_tuple(bounds.row, 11)), motion_of(bounds.settings)
     rows0, states0, brakes0 = before.others, before.states, before.tables.brakes
     rows, states, brakes, stretch = after.others, after.states, after.tables.brakes, bounds.stretch
     bodies0, bodies = bodies_in(before).bodies, bodies_in(after).bodies
@@ -330,7 +302,7 @@ def check_motions(
             bits |= _WAY
         if behind[i] and _comes_beside(i, rows, ego, limits.period):
             bits |= _DISTANCE
-        if _heads_off(i, states, stretch, motion, bodies):
+        if _heads_off(i, states, stretch, motion, bodies) or _overshoots_more(i, limits, it, rows0, rows):
             more |= _WAY
         if _touches_more(i, bodies0, bodies):
             more |= _LANES
@@ -340,31 +312,9 @@ def check_motions(
         if harder:
             more |= _BRAKING
         drop = lap_distance(bodies0.floor[i] - bodies.floor[i], limits.lap)
-        if not drop <= _ROUNDING and not harder:
+        if not drop <= ROUNDING and not harder:
             more |= _REVERSING
         found.broken[i], found.grown[i] = bits, more
-
-
-@lru_cache(maxsize=16)
-def limits_of(a: Assumptions, period: float, lap: float, frames: int) -> FloatArray:
-    """The limits that `check_motions` checks, (9,).
-
-    Parameters
-    ----------
-    period : time between the scenes [s], of `frames` frames. lap : length of a closed road, 0 of an open one [m].
-    """
-    limits = _Limits(
-        a.braking + _ROUNDING,
-        a.acceleration + _ROUNDING,
-        a.power,
-        a.max_speed,
-        a.reversing_speed + _ROUNDING,
-        a.slow_speed,
-        period,
-        lap,
-        frames,
-    )
-    return np.array(limits, dtype=float)
 
 
 def footprint(ego: FloatArray, longitudinal: float, lateral: float, crashed: bool = False) -> EgoFootprint:
@@ -391,8 +341,7 @@ def rule_violations(
     --------
     >>> import numpy as np
     >>> from dynamics.roads.straight import StraightRoad
-    >>> from dynamics.traffic.assumptions import Assumptions
-    >>> def at(x, v, before=None):
+    >>>     >>> def at(x, v, before=None):
     ...     row = np.array([[x, 0.0, 0.0, v, 5.0, 2.0, 0.0]])
     ...     return OtherVehicles(row, row[:, :4], StraightRoad.from_lanes(2), Assumptions.idm(), 0.1, before)
     >>> nobody, ego = np.zeros(1, bool), EgoFootprint(0.0, 4.0, 0.0, 20.0, 4.5, 1.3, 2.5, 1.0, False)
@@ -402,7 +351,8 @@ def rule_violations(
     >>> RoadRule(int(rule_violations(first, at(2.0, 19.0, first), 0.1, nobody, ego).broken[0]))
     <RoadRule.SPEED: 1>
     """
-    limits = limits_of(after.assumptions, float(period), after.lap, max(round(period / after.dt), 1))
+    frames = max(round(period / after.dt), 1)
+    limits = limits_of(after.assumptions, (float(period), frames), after.lap, after.curvature)
     m = len(after.states)
     found = RuleViolations(np.zeros(m, np.intp), np.zeros(m, np.intp))
     old = VehicleTables(before.others, before.states, before.tables)

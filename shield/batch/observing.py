@@ -12,10 +12,11 @@ from dynamics.highway_simulator.step_kernels import write_row
 from dynamics.pass_by_pointer import address_of, dereference
 from dynamics.roads.straight import nearest
 from dynamics.state import BoolArray, FloatArray, IntArray
+from dynamics.traffic.motion_limits import MotionLimits
 from dynamics.traffic.occupancy import PreviousTables, VehiclesOnRoad, derive_tables
 from dynamics.traffic.occupancy_kernels import LaneMarkings
 from dynamics.traffic.reaction import LapPosition, ReactionWork
-from dynamics.traffic.rules_of_the_road import EgoFootprint, MotionLimits, RoadRule, RuleViolations, check_motions
+from dynamics.traffic.rules_of_the_road import EgoFootprint, RoadRule, RuleViolations, check_motions
 from dynamics.traffic.tables import Tables, VehicleTables, bodies_of
 from dynamics.vehicle.controllers import KP_SPEED
 from shield.batch.arrays import BatchMemory, BatchPointers, BatchWorkspace, scene_of

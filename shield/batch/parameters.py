@@ -9,8 +9,8 @@ import numpy as np
 from dynamics.highway_simulator.scenario import Scenario
 from dynamics.roads.straight import StraightRoad
 from dynamics.state import FloatArray, IntArray
+from dynamics.traffic.motion_limits import limits_of
 from dynamics.traffic.occupancy import motion_settings
-from dynamics.traffic.rules_of_the_road import limits_of
 from dynamics.vehicle.controllers import KP_SPEED
 from dynamics.vehicle.rollout_kernels import table_of
 from shield.certificate.road.clauses.parameters import settings_of
@@ -120,9 +120,9 @@ def batch_parameters_of(
     return BatchParameters(
         centers=road.centers,
         size=footprint_of(length, width, config.buffer, None)[1],
-        settings=settings_of(a, float(road.width), float(config.perception_range), False, dt),
+        settings=settings_of(a, float(road.width), float(config.perception_range), 0.0, dt),
         motion=motion_settings(a, dt)[1],
-        limits=limits_of(a, dt, 0.0, 1),
+        limits=limits_of(a, (dt, 1), 0.0, 0.0),
         table=table_of(road),
         stretch=np.zeros((2, 0)),
         growth=np.zeros((0, 2)),

@@ -29,7 +29,7 @@ import numpy as np
 from dynamics.deprecation import RenamedText
 from dynamics.scenes.scene import Scene
 from dynamics.state import BoolArray, FloatArray, IntArray, RoadState, Vehicle
-from dynamics.traffic.occupancy import OtherVehicles
+from dynamics.traffic.occupancy import OtherVehicles, curvature_of
 from dynamics.traffic.rules_of_the_road import EgoFootprint, footprint
 from dynamics.traffic.tables import VehicleTables
 from dynamics.vehicle.rollout_kernels import table_of
@@ -202,8 +202,8 @@ class PathVerifier:
         self.size, self._size = footprint_of(
             float(scene.ego[Vehicle.LENGTH]), float(scene.ego[Vehicle.WIDTH]), config.buffer, road.bends
         )
-        bent, perception = road.bends is not None, float(config.perception_range)
-        self._settings = settings_of(a, float(road.width), perception, bent, scene.dt)
+        curvature, perception = curvature_of(road), float(config.perception_range)
+        self._settings = settings_of(a, float(road.width), perception, curvature, scene.dt)
         self._table = table_of(road)
         self._visible = np.zeros(lanes, dtype=np.intp) if visible is None else np.asarray(visible, np.intp)
         in_sight = self._visible

@@ -25,6 +25,22 @@ CLEARANCE = (
         "room",
     ),
     off(
+        "overshoot of a bend in the coming frame off",
+        TOGETHER,
+        "_overshoot",
+        "return _(_, _[_, _], _)",
+        "return 0.0",
+        "tests/shield/certificate/road/test_straight_motion_on_bends.py",
+    ),
+    off(
+        "overshoot of a bend beside the lane of the stop off",
+        ROOM,
+        "room_of",
+        "max(_, 0.5 * _ + _)",
+        "{1}",
+        "tests/shield/certificate/road/test_straight_motion_on_bends.py",
+    ),
+    off(
         "road edge off",
         EDGE,
         "verdicts",

@@ -76,6 +76,14 @@ WATCHED = (
         which=2,
     ),
     off(
+        "judgement of speed on bends off",
+        PERMITS,
+        "_overshoots_more",
+        "return not _ <= _ + _",
+        "return False",
+        "tests/shield/certificate/road/test_straight_motion_on_bends.py",
+    ),
+    off(
         "rule SPEED off",
         PERMITS,
         "check_motions",

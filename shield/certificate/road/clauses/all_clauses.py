@@ -13,7 +13,7 @@ import numpy as np
 from dynamics.compiled import compiled, kernel_inline, kernel_no_refcount, row_as_tuple
 from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.state import Vehicle as Columns
-from dynamics.traffic.occupancy_kernels import front_of, rear_of
+from dynamics.traffic.occupancy_kernels import front_of, rear_of, straight_overshoot
 from dynamics.traffic.tables import VehicleBodies, VehicleTables, bodies_in, motion_of
 from shield.certificate.road.clauses.clause_inputs import EgoArrays, LaneState, PlannedPath
 from shield.certificate.road.clauses.cut_in import (
@@ -52,7 +52,7 @@ NOTHING_BINDS, SEPARATION_BINDS, CUT_IN_BINDS, ROOM_BINDS = 0, 1, 2, 3
 """Codes of the binding clause."""
 
 
-_WIDTH = int(Columns.WIDTH)
+_LENGTH, _WIDTH = int(Columns.LENGTH), int(Columns.WIDTH)
 _AHEAD = 3
 """Frames computed beyond those needed, since the next path may be slightly longer."""
 
@@ -168,6 +168,16 @@ def _widened(
 
 
 @kernel_inline
+def _overshoot(j: int, scene: ClauseScene) -> float:
+    """How far vehicle j may leave its bend by a frame of straight motion [m]; 0 on a straight road."""
+    x = scene.settings
+    if not x.curvature > 0:
+        return 0.0
+    distance = max(abs(scene.around.states[j, 3]), x.bend_speed) * x.dt
+    return straight_overshoot(x.curvature, scene.around.rows[j, _LENGTH], distance)
+
+
+@kernel_inline
 def _separations(plan: PlannedPath, scene: ClauseScene, q: int, hold: int, workspace: ClauseWorkspace) -> int:
     """Write the least separation of a path from each of the first `q` vehicles of `desk.near`, which have no distance
     obligation, to `desk.apart` [m]. Return the number of frames before the first negative separation."""
@@ -175,7 +185,7 @@ def _separations(plan: PlannedPath, scene: ClauseScene, q: int, hold: int, works
     x, foot, around, others = scene.settings, scene.foot, scene.around, scene.around.others
     centers, visible, response = scene.ground.centers, scene.ground.visible, follower_response_of(x, hold)
     since = _lateral(plan, scene, q, hold, workspace)
-    ego = extents(plan.path, plan.turned, foot, x.dt, workspace.bounds)
+    ego = extents(plan.path, plan.turned, foot, (x.curvature, x.dt), workspace.bounds)
     if not ego.finite:
         for j in range(q):
             found[j] = np.nan
@@ -187,7 +197,8 @@ def _separations(plan: PlannedPath, scene: ClauseScene, q: int, hold: int, works
         most_left, most_right, later = _widened(k, (left, right), since, plan, scene)
         beside = max(most_left - ego.highest, ego.lowest - most_right)
         about = s + v + length + bodies.floor[k] + bodies.budget[k] + bodies.action[k]
-        if beside >= 0 and math.isfinite(left + right + about):
+        overshoot = _overshoot(k, scene)
+        if beside >= max(overshoot, ego.overshoot) and math.isfinite(left + right + about):
             # Its longitudinal position makes no difference.
             found[j] = beside
             continue
@@ -197,7 +208,19 @@ def _separations(plan: PlannedPath, scene: ClauseScene, q: int, hold: int, works
             at_once = max(response.reaction + 1 - already, 0)
         most = stretch[1, k] if stretch.shape[1] > 0 else 1.0
         other = UnobligatedVehicle(
-            left, right, most_left, most_right, later, length, others.behind[k], goal, at_once, v, s + length, most
+            left,
+            right,
+            most_left,
+            most_right,
+            later,
+            length,
+            overshoot,
+            others.behind[k],
+            goal,
+            at_once,
+            v,
+            s + length,
+            most,
         )
         found[j], first = separation(plan, ego, workspace.bounds, foot, other, workspace.rear[0], response)
         reached = min(reached, first)
@@ -255,6 +278,17 @@ def _binding(margin: float, q: int, c: int, cut_ins: FloatArray, workspace: Clau
 
 
 @kernel_inline
+def _widest_overshoot(scene: ClauseScene) -> float:
+    """Greatest overshoot of any vehicle [m], see `_overshoot`; -1 on a straight road."""
+    if not scene.settings.curvature > 0:
+        return -1.0
+    widest = 0.0
+    for j in range(scene.around.rows.shape[0]):
+        widest = max(widest, _overshoot(j, scene))
+    return widest
+
+
+@kernel_inline
 def evaluate_path(
     plan: PlannedPath, scene: ClauseScene, hold: int, ignored: BoolArray, workspace: ClauseWorkspace
 ) -> tuple[float, int, int, int]:
@@ -273,7 +307,7 @@ def evaluate_path(
     """
     path, turned, foot, ground, x = plan.path, plan.turned, scene.foot, scene.ground, scene.settings
     frames, others, state, cutting_in = path.shape[0], scene.around.others, scene.state, scene.cutting_in
-    workspace.room[0] = room_of(path, turned, foot, ground.centers[plan.fail], 0.5 * x.width, x.bent > 0)
+    workspace.room[0] = room_of(path, turned, foot, ground.centers[plan.fail], 0.5 * x.width, _widest_overshoot(scene))
     way = path[frames - 1, 0] - state[0]
     # A distance that is not a number excludes no vehicle.
     reach = (way if way == way else np.inf, x.perception)
@@ -356,7 +390,7 @@ def evaluate_paths(
     """
     n, frames, m = candidates.paths.shape[0], candidates.paths.shape[1], scene.vehicles.states.shape[0]
     c = scene.cutting_in.shape[0] if hold == 0 else 0
-    workspace, near = new_clause_workspace(m, frames, scene.settings[15]), np.zeros(m, np.bool_)
+    workspace, near = new_clause_workspace(m, frames, scene.settings[14]), np.zeros(m, np.bool_)
     found, marked = np.full((2 + m + c, n), np.inf), np.empty((3, n), np.intp)
     _verify_each(candidates, scene, hold, ignored, workspace, _PathResults(found, marked, near))
     kept = np.ones(2 + m + c, np.bool_)

@@ -10,6 +10,7 @@ import numpy as np
 from dynamics.compiled import kernel_inline, row_as_tuple
 from dynamics.state import FloatArray
 from dynamics.traffic.assumptions import Assumptions
+from dynamics.traffic.motion_limits import bend_speed_of
 from shield.certificate.road.clauses.followers import VisibilityParameters
 from shield.certificate.road.clauses.separation import FollowerResponse
 
@@ -32,7 +33,9 @@ class ClauseSettings(NamedTuple):
     simultaneous_merge, cut_in : 1 if vehicles may enter a lane that the ego is about to enter, and if they may cut
         in.
     width : of a lane [m]. lateral_deviation : greatest lateral deviation of a body from the centre of its lane [m].
-    perception : range [m]. bent : 1 if the road is curved. dt : frame [s].
+    perception : range [m]. dt : frame [s].
+    curvature : greatest of any vehicle's path [1/m]; 0 on a straight road. bend_speed : speed up to which vehicles take
+        the bends [m/s]; see `Assumptions.bend_acceleration`.
     """
 
     seen: float
@@ -49,13 +52,14 @@ class ClauseSettings(NamedTuple):
     width: float
     lateral_deviation: float
     perception: float
-    bent: float
     dt: float
+    curvature: float
+    bend_speed: float
 
 
 @lru_cache(maxsize=64)
-def settings_of(a: Assumptions, width: float, perception: float, bent: bool, dt: float) -> FloatArray:
-    """The numbers of `ClauseSettings`, (16,)."""
+def settings_of(a: Assumptions, width: float, perception: float, curvature: float, dt: float) -> FloatArray:
+    """The numbers of `ClauseSettings`, (17,)."""
     return np.array(
         ClauseSettings(
             a.visible_distance,
@@ -72,8 +76,9 @@ def settings_of(a: Assumptions, width: float, perception: float, bent: bool, dt:
             width,
             a.lateral_deviation,
             perception,
-            bent,
             dt,
+            curvature,
+            bend_speed_of(a, curvature),
         ),
         dtype=float,
     )
@@ -87,7 +92,7 @@ def _frames(time: float, dt: float) -> int:
 @kernel_inline
 def settings_from(row: FloatArray) -> ClauseSettings:
     """The numbers, by their names."""
-    return ClauseSettings(*row_as_tuple(row, 16))
+    return ClauseSettings(*row_as_tuple(row, 17))
 
 
 @kernel_inline

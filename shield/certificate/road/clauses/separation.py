@@ -10,6 +10,7 @@ import numpy as np
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.state import FloatArray
+from dynamics.traffic.occupancy_kernels import straight_overshoot
 from shield.certificate.road.clauses.clause_inputs import PlannedPath
 from shield.certificate.road.clauses.footprint import Footprint
 
@@ -48,12 +49,16 @@ class PathExtents(NamedTuple):
     finite : whether all its numbers are finite.
     turned : whether its headings matter for the places that constant velocity leads to.
     lowest, highest : lateral extents over all frames, these places included [m].
+    curvature : greatest of any path on the road [1/m]; 0 on a straight road.
+    overshoot : how far the ego may leave its bend by a frame of straight motion [m].
     """
 
     finite: bool
     turned: bool
     lowest: float
     highest: float
+    curvature: float
+    overshoot: float
 
 
 class UnobligatedVehicle(NamedTuple):
@@ -63,6 +68,7 @@ class UnobligatedVehicle(NamedTuple):
     ----------
     left, right : its lateral extents [m]. most_left, most_right : the same from frame `since` on [m].
     length : half the length that it covers along the road [m].
+    overshoot : how far it may leave its bend by a frame of straight motion [m]; 0 on a straight road.
     behind : whether it is behind the ego.
     center : centre of the lane in which it would see the ego [m].
     at_once : number of frames after which it reacts if it sees the ego all the time, or -1.
@@ -75,6 +81,7 @@ class UnobligatedVehicle(NamedTuple):
     most_right: float
     since: int
     length: float
+    overshoot: float
     behind: bool
     center: float
     at_once: int
@@ -91,16 +98,20 @@ def turns(path: FloatArray, turned: FloatArray) -> None:
 
 
 @kernel_inline
-def extents(path: FloatArray, turned: FloatArray, size: Footprint, dt: float, bounds: FloatArray) -> PathExtents:
+def extents(
+    path: FloatArray, turned: FloatArray, size: Footprint, place: tuple[float, float], bounds: FloatArray
+) -> PathExtents:
     """Extents of the ego's rectangle in each frame of a path (K, 4). With the buffer, s is within `bounds[0]` and
     `bounds[1]`, and r within `bounds[2]` and `bounds[3]`.
 
     Parameters
     ----------
     turned : see `turns`. size : the ego's footprint. bounds : (at least 4, K) [m], written.
+    place : greatest curvature of any path on the road [1/m], 0 on a straight road; and duration of a frame [s].
     """
+    curvature, dt = place
     lon, lat, length, width = size.along, size.across, size.length, size.width
-    coming, lowest, highest = False, np.inf, -np.inf
+    coming, lowest, highest, overshoot = curvature > 0, np.inf, -np.inf, 0.0
     for k in range(path.shape[0]):
         if not abs(path[k, 2]) < _STRAIGHT and not abs(turned[0, k]) < _STRAIGHT:
             coming = True
@@ -108,17 +119,18 @@ def extents(path: FloatArray, turned: FloatArray, size: Footprint, dt: float, bo
     for k in range(path.shape[0]):
         s, r, psi, v = path[k, 0], path[k, 1], path[k, 2], path[k, 3]
         if not (math.isfinite(s) and math.isfinite(r) and math.isfinite(psi) and math.isfinite(v)):
-            return PathExtents(False, coming, lowest, highest)
+            return PathExtents(False, coming, lowest, highest, curvature, overshoot)
         sin, cos = turned[0, k], turned[1, k]
         half_s = lon * abs(cos) + lat * abs(sin) + size.growth_along
         half_r = lon * abs(sin) + lat * abs(cos) + size.growth_across
         bounds[0, k], bounds[1, k], bounds[2, k], bounds[3, k] = s - half_s, s + half_s, r - half_r, r + half_r
         lowest, highest = min(lowest, bounds[2, k]), max(highest, bounds[3, k])
+        overshoot = max(overshoot, straight_overshoot(curvature, length, abs(v) * dt))
         if coming:
             r += v * sin * dt
             half_r = 0.5 * (length * abs(sin) + width * abs(cos)) + size.body_growth_across
             lowest, highest = min(lowest, r - half_r), max(highest, r + half_r)
-    return PathExtents(True, coming, lowest, highest)
+    return PathExtents(True, coming, lowest, highest, curvature, overshoot)
 
 
 @kernel_no_refcount
@@ -242,12 +254,12 @@ def separation(
     beside = max(left - ego.highest, ego.lowest - right)
     if since < frames:
         beside = max(other.most_left - ego.highest, ego.lowest - other.most_right)
-    if beside >= 0:
+    if beside >= max(other.overshoot, ego.overshoot):
         return beside, frames
     more = 0.0
     if behind or ego.turned:
         more = _front(path, frames, other, response, front)
-    least, first = np.inf, frames
+    least, first = beside if beside >= 0 else np.inf, frames
     for k in range(frames):
         if k == since:
             left, right = other.most_left, other.most_right
@@ -256,9 +268,12 @@ def separation(
             along = max(along, bounds[0, k] - front[k] - (more if k == frames - 1 else 0.0))
         apart = max(along, max(left - bounds[3, k], bounds[2, k] - right))
         # The frame after the last is not judged: an ego that brakes stands by then.
-        if ego.turned and k < frames - 1 and not abs(turned[0, k]) < _STRAIGHT:
+        if ego.turned and k < frames - 1 and (ego.curvature > 0 or not abs(turned[0, k]) < _STRAIGHT):
             ends, heading = (rear[k], rear[k + 1], front[k], front[k + 1]), (turned[0, k], turned[1, k])
-            apart = min(apart, coming_frame(path[k], heading, size, ends, (left, right), other.length, dt))
+            # The body on the inner side of a bend leaves the lane beside the outer one by this much.
+            over = max(other.overshoot, straight_overshoot(ego.curvature, size.length, abs(path[k, 3]) * dt))
+            sides = left - over, right + over
+            apart = min(apart, coming_frame(path[k], heading, size, ends, sides, other.length, dt))
         least = min(least, apart)
         if apart < 0:
             first = min(first, k)

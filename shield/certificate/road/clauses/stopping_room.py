@@ -20,21 +20,25 @@ def room_of(
     size: Footprint,
     center: float,
     side: float,
-    bent: bool,
+    overshoot: float,
 ) -> float:
     """Room beside the ego with its buffer in the lane that a path (K, 4) stops in [m]; negative if it reaches out of
     the lane.
 
-    `center` and `side` are the lane's centre and half its width [m]; `turned` and `size` as in `extents`.
+    Parameters
+    ----------
+    turned, size : as in `extents`. center, side : the lane's centre and half its width [m].
+    overshoot : how far vehicles in the lanes beside may leave their bend by a frame of straight motion [m]; negative on
+        a straight road.
     """
     last = path.shape[0] - 1
     sin, cos = abs(turned[0, last]), abs(turned[1, last])
-    # On a curve, the buffer ahead and behind follows the lane: only the body has to fit.
-    half = (
-        0.5 * size.length * sin + size.across * cos + size.body_growth_across
-        if bent
-        else size.along * sin + size.across * cos
-    )
+    if overshoot < 0:
+        half = size.along * sin + size.across * cos
+    else:
+        # On a curve, the buffer ahead and behind follows the lane: only the body has to fit.
+        across = max(size.across, 0.5 * size.width + overshoot)
+        half = 0.5 * size.length * sin + across * cos + size.body_growth_across
     return side - abs(path[last, 1] - center) - half
 
 

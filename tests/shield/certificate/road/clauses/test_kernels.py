@@ -74,7 +74,7 @@ def separation_of(path, size, other, rear, duty):
     frames = path.shape[0]
     turned, bounds = np.empty((2, frames)), np.empty((5, frames))
     turns(path, turned)
-    ego = extents(path, turned, size, duty.dt, bounds)
+    ego = extents(path, turned, size, (0.0, duty.dt), bounds)
     plan = PlannedPath(path, turned, 0, 0)
     return separation(plan, ego, bounds, size, other, rear, duty) if ego.finite else (np.nan, 0)
 
@@ -87,7 +87,9 @@ def separations_of(paths, t):
         for j in range(m):
             sides = float(t["low"][at, j]), float(t["high"][at, j])
             duties = bool(t["follows"][j]), float(t["centers"][at, j]), int(t["at_once"][at, j])
-            other = UnobligatedVehicle(*sides, *sides, paths.shape[1], t["lengths"][j], *duties, *t["followers"][:, j])
+            other = UnobligatedVehicle(
+                *sides, *sides, paths.shape[1], t["lengths"][j], 0.0, *duties, *t["followers"][:, j]
+            )
             out[i, j], first = separation_of(paths[i], SIZE, other, t["rear"][j], DUTY)
             reached[i] = min(reached[i], first)
     return out, reached

@@ -21,7 +21,11 @@ from dynamics.state import LEAST, MOST, BoolArray, FloatArray, IntArray, State, 
 from dynamics.vehicle.bicycle import LENGTH
 from dynamics.vehicle.controllers import speed_to_index
 
-__all__ = ["EgoControl", "Scene", "SceneReader", "Target", "has_road_and_vehicles"]
+__all__ = ["LEAST_LAP", "EgoControl", "Scene", "SceneReader", "Target", "has_road_and_vehicles"]
+
+LEAST_LAP = 300.0
+"""Length of the shortest closed road that a scene is read on [m]. On shorter ones a vehicle ahead may come to be nearer
+from behind within the horizon of a plan."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,10 +310,24 @@ class SceneReader:
 
 
 def _road_of(network: Any, curved: bool) -> Road:
-    """The road map of a network: straight, or a path if `curved` roads may be read."""
+    """The road map of a network: straight, or a path if `curved` roads may be read.
+
+    Raises
+    ------
+    SceneError
+        If the network is no such road, or a closed one shorter than `LEAST_LAP`.
+    """
     kinds = {type(lane).__name__ for lane in network.lanes_list()}
     straight = kinds == {"StraightLane"} and sum(map(len, network.graph.values())) == 1
-    return StraightRoad.from_network(network) if straight or not curved else read_network(network)
+    if straight or not curved:
+        return StraightRoad.from_network(network)
+    road = read_network(network)
+    if road.closed and road.length < LEAST_LAP:
+        raise SceneError(
+            f"the lap of this closed road is {road.length:.0f} m long; at least {LEAST_LAP:.0f} m is needed, because "
+            "each vehicle counts once: ahead of the ego or behind it, by the shorter way round"
+        )
+    return road
 
 
 def _row(v: Any) -> tuple[float, ...]:

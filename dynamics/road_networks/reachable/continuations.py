@@ -8,10 +8,19 @@ import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 
 from dynamics.road_networks.geometry.network import index_of
-from dynamics.state import FloatArray, IntArray
+from dynamics.state import BoolArray, FloatArray, IntArray
 from dynamics.vehicle.bicycle import WIDTH
 
-__all__ = ["RECENTRED_DISTANCE", "TURNING", "TURN_IN_DISTANCE", "continuations_of", "leads_over", "overruns_of"]
+__all__ = [
+    "RECENTRED_DISTANCE",
+    "TURNING",
+    "TURN_IN_DISTANCE",
+    "bends_before_of",
+    "continuations_of",
+    "leads_off_of",
+    "leads_over",
+    "overruns_of",
+]
 
 RECENTRED_DISTANCE = 25.0
 """Distance after which a vehicle that has entered a lane from beside it is back at the centre of the lane [m]."""
@@ -99,6 +108,29 @@ def overruns_of(network: Any, after: IntArray, entries: FloatArray) -> FloatArra
         if len(following) and not any(_takes_in(lanes[k], lanes[j], entries[j]) for j in following):
             overruns[k] = TURN_IN_DISTANCE
     return overruns
+
+
+def leads_off_of(network: Any, after: IntArray, distance: float) -> BoolArray:
+    """Whether straight motion past the end of each lane leads off all lanes that follow, within `distance` [m], (n,).
+    `after` as from `continuations_of`.
+
+    highway-env tests for crashes with a frame of such motion. A bend of the next lane is not counted here.
+    """
+    lanes, leads_off = network.lanes_list(), np.zeros(len(after), bool)
+    for k, row in enumerate(after):
+        heading = lanes[k].heading_at(lanes[k].length)
+        angles = [abs(np.sin(lanes[j].heading_at(0.0) - heading)) for j in row[row >= 0]]
+        leads_off[k] = bool(angles) and min(angles) * distance > _BESIDE
+    return leads_off
+
+
+def bends_before_of(after: IntArray, bends: FloatArray) -> FloatArray:
+    """Greatest curvature of the lanes that lead to each lane, (n,) [1/m]; `bends` are the lanes' own, (n,) [1/m]."""
+    before = np.zeros(len(after))
+    for k, row in enumerate(after):
+        for j in row[row >= 0]:
+            before[j] = max(before[j], bends[k])
+    return before
 
 
 def _takes_in(lane: Any, following: Any, entry: FloatArray) -> bool:

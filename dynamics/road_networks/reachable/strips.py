@@ -18,7 +18,7 @@ from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.layout import LANE_LENGTH
 from dynamics.road_networks.geometry.lanes import NetworkLanes
 from dynamics.road_networks.geometry.layout import AMPLITUDE, CIRCULAR, PULSATION, RADIUS, SHAPE, SINE
-from dynamics.state import FloatArray, IntArray, Vehicle
+from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
 
 __all__ = [
     "ALWAYS",
@@ -107,6 +107,8 @@ class LaneContinuations(NamedTuple):
     over : for a lane that ends, the neighbouring lane that a vehicle has to change to, (n,), -1 for none. A vehicle
         that changes there waits for no other.
     overruns : how far a vehicle may drive straight on past the end of each lane, (n,) [m].
+    leads_off : whether a frame of straight motion past the end of each lane leads off the lanes that follow, (n,).
+    bends_before : greatest curvature of the lanes that lead to each lane, (n,) [1/m].
     """
 
     after: IntArray
@@ -114,6 +116,8 @@ class LaneContinuations(NamedTuple):
     entries: FloatArray
     over: IntArray
     overruns: FloatArray
+    leads_off: BoolArray
+    bends_before: FloatArray
 
 
 class Strips(NamedTuple):

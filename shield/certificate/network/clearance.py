@@ -29,7 +29,7 @@ from dynamics.road_networks.reachable.strips import ALWAYS, BODY_HALF, FAR, FRON
 from dynamics.state import FloatArray
 from dynamics.traffic.rules_of_the_road import EgoFootprint, gap_between
 from shield.certificate.network.followers import Brakes, has_obligation, is_seen, separation_behind
-from shield.certificate.network.lateral_gap import lateral_gap, sag_of
+from shield.certificate.network.lateral_gap import lateral_gap, straight_motion
 from shield.certificate.network.projection import FAR_OFF
 from shield.certificate.network.tolerances import CLEAR
 from shield.certificate.network.workspace import CandidateRollout, NetworkContext, NetworkVehicles
@@ -123,12 +123,14 @@ def _conflict(
     i, lane, row = others.marks[j, 0], others.marks[j, 1], others.numbers[j]
     first, last = rollout.met[lane, 0], rollout.met[lane, 1]
     end = end_of_lane(road.lanes.rows, road.ways.after, lane) + road.ways.overruns[lane]
-    least, bad, contact, sag = np.inf, count, -1, sag_of(others, road, j)
+    least, bad, contact, motion = np.inf, count, -1, straight_motion(others, road, j)
+    if road.ways.leads_off[lane]:
+        end += motion.way
     for k in range(first, last + 1):
         box = rollout.boxes[lane, k]
         if not box[0] < FAR_OFF:
             continue
-        beside = lateral_gap(road, lane, box, row, sag, rollout.path[k, 3])
+        beside = lateral_gap(road, lane, box, row, motion, rollout.path[k, 3])
         # Both vehicles move between two frames: of one that rolls back the later frame counts.
         back = min(others.least[i, max(k - 1, 0)], others.least[i, k + 1]) - row[FAR]
         ahead = others.most[i, k + 1] - row[NEAR]

@@ -22,7 +22,7 @@ import numpy as np
 from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.road_networks.reachable.strips import FRONT, NEAR, SEVERAL, START
 from dynamics.state import BoolArray, FloatArray
-from shield.certificate.network.lateral_gap import lateral_gap, sag_of
+from shield.certificate.network.lateral_gap import lateral_gap, straight_motion
 from shield.certificate.network.projection import FAR_OFF
 from shield.certificate.network.tolerances import CLEAR
 from shield.certificate.network.workspace import CandidateRollout, NetworkContext, NetworkVehicles
@@ -99,7 +99,7 @@ def separation_behind(
     top, most = max(others.drive[i, 0], others.rows[i, 3]), others.drive[i, 2]
     v0 = max(others.rows[i, 3], 0.0)
     v, x, waited, least, k = v0, 0.0, 0, np.inf, 0
-    within, sag = row[NEAR] <= 0, sag_of(others, road, j)
+    within, motion = row[NEAR] <= 0, straight_motion(others, road, j)
     while k <= last or (rests and v > 0.0):
         if k > _FRAME_LIMIT:
             return -1.0
@@ -110,7 +110,7 @@ def separation_behind(
         if k >= first and box[0] < FAR_OFF and ahead >= row[START]:
             if not rear < FAR_OFF:
                 rear = box[0]
-            beside = lateral_gap(road, lane, box, row, sag, rollout.path[m, 3])
+            beside = lateral_gap(road, lane, box, row, motion, rollout.path[m, 3])
             least = min(least, max(rear - brakes.front - ahead, beside))
             if least < CLEAR:
                 return least

@@ -13,7 +13,13 @@ from dynamics.road_networks.geometry.lanes import NetworkLanes
 from dynamics.road_networks.geometry.layout import PRIORITY
 from dynamics.road_networks.geometry.network import index_of
 from dynamics.road_networks.geometry.points import circles_of
-from dynamics.road_networks.reachable.continuations import continuations_of, leads_over, overruns_of
+from dynamics.road_networks.reachable.continuations import (
+    bends_before_of,
+    continuations_of,
+    leads_off_of,
+    leads_over,
+    overruns_of,
+)
 from dynamics.road_networks.reachable.prediction import add_all_strips, distance_bounds
 from dynamics.road_networks.reachable.rights import right_of_way_by_lane, right_of_way_by_strip
 from dynamics.road_networks.reachable.strips import (
@@ -27,7 +33,8 @@ from dynamics.road_networks.reachable.strips import (
     empty_strips,
 )
 from dynamics.road_networks.simulation.ego_manoeuvres import EgoOnNetwork
-from dynamics.state import FloatArray, IntArray
+from dynamics.state import FloatArray, IntArray, Vehicle
+from shield.certificate.network.lateral_gap import greatest_curvature
 from shield.certificate.network.monitor import NetworkObservation
 from shield.certificate.network.next_frame import collisions
 from shield.certificate.network.obligations import RightOfWayObligations
@@ -50,7 +57,10 @@ def network_context(base: Any, alone: EgoOnNetwork, config: ShieldConfig) -> Net
     lanes = NetworkLanes(machine.sums, machine.loops, network.lanes, network.ids, network.near)
     after, ends, entries = continuations_of(base.road.network)
     over, overruns = leads_over(base.road.network), overruns_of(base.road.network, after, entries)
-    ways = LaneContinuations(after, ends, entries, over, overruns)
+    leads_off = leads_off_of(base.road.network, after, a.max_speed / frequency)
+    bends: Any = greatest_curvature
+    before = bends_before_of(after, np.array([bends.py_func(lanes, lane) for lane in range(len(network.lanes))]))
+    ways = LaneContinuations(after, ends, entries, over, overruns, leads_off, before)
     circles = np.zeros((len(network.lanes), 3))
     circles_of(lanes, circles)
     length, width = base.vehicle.LENGTH / 2, base.vehicle.WIDTH / 2
@@ -68,12 +78,15 @@ def network_context(base: Any, alone: EgoOnNetwork, config: ShieldConfig) -> Net
     )
 
 
-def _rooms(marks: IntArray, numbers: FloatArray, lengths: FloatArray) -> FloatArray:
-    """`NetworkVehicles.rooms` of reachable intervals, on lanes of these `lengths` [m]. They cover all that the
-    intervals may overlap, so that the judgement of one vehicle does not depend on the other vehicles present."""
+def _rooms(marks: IntArray, numbers: FloatArray, lengths: FloatArray, beyond_ends: FloatArray) -> FloatArray:
+    """`NetworkVehicles.rooms` of reachable intervals, on lanes of these `lengths` [m].
+
+    They cover all that the intervals may overlap, so that the judgement of one vehicle does not depend on the other
+    vehicles present. `beyond_ends`: how far straight motion leads past the end of the lane of each interval, (k,) [m].
+    """
     lanes, rooms = marks[:, 1], np.zeros(len(lengths))
     beyond = np.maximum(-numbers[:, START], -numbers[:, NEAR] - lengths[lanes])
-    along = numbers[:, BODY_HALF] + np.maximum(beyond, 0.0)
+    along = numbers[:, BODY_HALF] + np.maximum(beyond, 0.0) + beyond_ends
     np.maximum.at(rooms, lanes, np.max([along, numbers[:, HIGH], -numbers[:, LOW]], axis=0) + _BENT)
     return rooms
 
@@ -107,6 +120,8 @@ class NetworkPredictor:
         marks, numbers = strips.marks[:count].copy(), strips.numbers[:count].copy()
         least, most = np.zeros((2, len(seen.rows), self._frames + 3))
         distance_bounds(road.bounds, seen.rows, drive, road.period, least, most)
+        ways = np.maximum(np.maximum(drive[:, 0], seen.rows[:, Vehicle.SPEED]), 0.0) * road.period
+        beyond_ends = np.where(road.ways.leads_off[marks[:, 1]], ways[marks[:, 0]], 0.0)
         obliged, gives = obligations.tables(seen.identities, len(road.circles))
         ranks = np.zeros(count, np.int64)
         if road.response.gives_way:
@@ -127,7 +142,7 @@ class NetworkPredictor:
             waits=np.zeros(count, dtype=bool),
             shut=np.zeros(count, dtype=bool),
             lanes=np.unique(marks[:, 1]),
-            rooms=_rooms(marks, numbers, road.lanes.rows[:, LANE_LENGTH]),
+            rooms=_rooms(marks, numbers, road.lanes.rows[:, LANE_LENGTH], beyond_ends),
         )
         colliding = collisions(self._base, seen, marks, self._names)
         return NetworkObservation(seen.identities, others, seen.stand, seen.unreadable, colliding)

@@ -4,11 +4,13 @@ import gymnasium as gym
 import highway_env  # noqa: F401  (registers the environments)
 import numpy as np
 import pytest
+from highway_env.road.lane import CircularLane, StraightLane
+from highway_env.road.road import RoadNetwork
 
 from dynamics.errors import SceneError
 from dynamics.roads.path import PathRoad
 from dynamics.roads.straight import StraightRoad
-from dynamics.scenes.scene import Scene, SceneReader
+from dynamics.scenes.scene import LEAST_LAP, Scene, SceneReader, _road_of
 from dynamics.state import RoadState
 
 
@@ -59,3 +61,20 @@ def test_a_drive_around_the_track_has_the_lanes_of_the_simulator_and_continuous_
         wheel = -0.5 * (ego[RoadState.R] - 2.5) / 5 - ego[RoadState.HEADING] + 3 * road.curvature(ego[0])
         env.step(np.array([np.clip(wheel, -0.7, 0.7) / (np.pi / 4)], dtype=np.float32))
     assert checked > 60
+
+
+def oval(straight, radius=20.0):
+    """A closed road of one lane."""
+    network = RoadNetwork()
+    network.add_lane("a", "b", StraightLane([0, 0], [straight, 0]))
+    network.add_lane("b", "c", CircularLane([straight, radius], radius, -np.pi / 2, np.pi / 2))
+    network.add_lane("c", "d", StraightLane([straight, 2 * radius], [0, 2 * radius]))
+    network.add_lane("d", "a", CircularLane([0, radius], radius, np.pi / 2, 3 * np.pi / 2))
+    return network
+
+
+def test_a_lap_on_which_a_vehicle_would_count_from_one_side_only_is_refused():
+    half = np.pi * 20.0
+    assert _road_of(oval(0.5 * LEAST_LAP - half + 0.1), curved=True).closed
+    with pytest.raises(SceneError, match="lap of this closed road is 290 m long; at least 300 m"):
+        _road_of(oval(145.0 - half), curved=True)

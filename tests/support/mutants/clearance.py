@@ -38,7 +38,7 @@ CLEARANCE = (
         "room_of",
         "max(_, 0.5 * _ + _)",
         "{1}",
-        "tests/shield/certificate/road/test_straight_motion_on_bends.py",
+        "tests/shield/certificate/road/clauses/test_stopping_room.py",
     ),
     off(
         "road edge off",

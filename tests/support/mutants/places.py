@@ -142,6 +142,22 @@ PLACES = (
         reads="overruns",
     ),
     off(
+        "straight motion past a joint off",
+        "shield.certificate.network.clearance",
+        "_conflict",
+        "_ += _",
+        "pass",
+        "tests/shield/certificate/network/test_own_road_networks.py",
+    ),
+    off(
+        "straight motion out of a bend off",
+        "shield.certificate.network.lateral_gap",
+        "straight_motion",
+        "max(_, _(_[_], _[_], _))",
+        "{1}",
+        "tests/shield/certificate/network/test_own_road_networks.py",
+    ),
+    off(
         "second of two ways of equal length off",
         "dynamics.road_networks.reachable.strips",
         "add",

@@ -296,3 +296,76 @@ def test_two_ways_of_equal_length_to_one_lane_leave_room_for_both():
             assert add(strips, 0, 2, other, 20.0) == count
             (value,) = change.values()
             assert strips.numbers[count - 1, column] == value
+
+
+def kinked(angle, gap, side):
+    """A road that goes on at an angle, and a lane across its straight continuation, `gap` metres after the joint."""
+
+    def build(network):
+        far = [80 * math.cos(angle), -80 * math.sin(angle)]
+        network.add_lane("a", "b", StraightLane([-80, 0], [0, 0], speed_limit=20))
+        network.add_lane("b", "c", StraightLane([0, 0], far, speed_limit=20))
+        network.add_lane("p", "q", StraightLane([gap + 1, side - 2.5], [gap + 1, 80], speed_limit=20))
+
+    return build
+
+
+def round_the_joint(angle, speed, frequency, frames):
+    """Along that road, 0.1 m before the joint after so many frames."""
+
+    def place(frame):
+        way = (frame - frames) * speed / frequency - 0.1
+        if way <= 0:
+            return way, 0.0, 0.0, speed
+        return way * math.cos(angle), -way * math.sin(angle), -angle, speed
+
+    return place
+
+
+def bow(network):
+    """Two lanes of a half circle that go on as straight lanes."""
+    for k, radius in enumerate((20.0, 24.0)):
+        arc = CircularLane([0, 20], radius, math.pi / 2, -math.pi / 2, clockwise=False, speed_limit=20)
+        network.add_lane("a", "b", arc)
+        network.add_lane("b", "c", StraightLane([0, -4.0 * k], [-120, -4.0 * k], speed_limit=20))
+
+
+def out_of_the_bow(speed, frequency, frames, before):
+    """Along the inner lane near its outer marking, so far before the end of the arc after so many frames [m]."""
+
+    def place(frame):
+        way = (frame - frames) * speed / frequency - before
+        if way > 0:
+            return -way, 0.0, math.pi, speed
+        turned = way / 20
+        return -20.88 * math.sin(turned), 20 - 20.88 * math.cos(turned), math.pi + turned, speed
+
+    return place
+
+
+def crash_with_a_verified_plan(env, frames):
+    """Whether the ego crashes in the frame after a verified decision, and nobody had violated a rule."""
+    for _ in range(frames):
+        clean = not env.filter.by_rule
+        env.step(SLOWER)
+        if env.unwrapped.vehicle.crashed:
+            return clean and str(env.frame_decisions[-1].tier) in VERIFIED
+    return False
+
+
+@pytest.mark.parametrize("angle", [0.8, 0.45])
+@pytest.mark.parametrize(("speed", "frequency"), [(20.0, 5), (30.0, 10)])
+def test_straight_motion_past_a_joint_crashes_no_ego_with_a_verified_plan(angle, speed, frequency):
+    for over in (0.3, 0.8, 1.5):
+        for side in (2.9, 3.2):
+            gap = max(2.4 + speed / frequency - over, 2.9)
+            env = shielded(kinked(angle, gap, side), (("p", "q", 0), 2.5), 0.0, frequency, action=SLOW)
+            scripted(env, round_the_joint(angle, speed, frequency, 3))
+            assert not crash_with_a_verified_plan(env, 6)
+
+
+@pytest.mark.parametrize(("speed", "before", "ahead"), [(40.0, 3.0, 6.5), (40.0, 1.5, 7.0), (30.0, 1.5, 6.0)])
+def test_straight_motion_out_of_a_bend_crashes_no_ego_with_a_verified_plan(speed, before, ahead):
+    env = shielded(bow, (("b", "c", 1), ahead + 2.5), 0.0, 5, action=SLOW)
+    scripted(env, out_of_the_bow(speed, 5, 3, before))
+    assert not crash_with_a_verified_plan(env, 6)

@@ -11,8 +11,8 @@ from dynamics.state import FloatArray, IntArray
 
 __all__ = [
     "Bodies",
+    "LaneNeighbours",
     "Machine",
-    "Neighbours",
     "ObservationConfig",
     "Rules",
     "Simulation",
@@ -139,7 +139,7 @@ class Bodies(NamedTuple):
     lanes: FloatArray
 
 
-class Neighbours(NamedTuple):
+class LaneNeighbours(NamedTuple):
     """The bodies ahead and behind in each lane, of `neighbours.find`."""
 
     front: IntArray

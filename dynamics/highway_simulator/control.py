@@ -6,7 +6,7 @@ import math
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import clip, dot2, not_zero, wrap_to_pi
-from dynamics.highway_simulator.arrays import Bodies, Machine, Neighbours
+from dynamics.highway_simulator.arrays import Bodies, LaneNeighbours, Machine
 from dynamics.highway_simulator.layout import (
     ACC_MAX,
     ACCELERATION,
@@ -129,7 +129,9 @@ def _steer(machine: Machine, bodies: Bodies, work: FloatArray, busy: IntArray, v
 
 
 @kernel_no_refcount
-def act(machine: Machine, bodies: Bodies, near: Neighbours, work: FloatArray, busy: IntArray, vehicles: int) -> None:
+def act(
+    machine: Machine, bodies: Bodies, near: LaneNeighbours, work: FloatArray, busy: IntArray, vehicles: int
+) -> None:
     """Target lanes of all vehicles, one after the other; then steering and acceleration.
 
     Parameters

@@ -9,8 +9,8 @@ from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import clip
 from dynamics.highway_simulator.arrays import (
     Bodies,
+    LaneNeighbours,
     Machine,
-    Neighbours,
     ObservationConfig,
     Rules,
     Simulation,
@@ -104,7 +104,7 @@ def advance(
     f, g, p, order = worlds.f[e], worlds.g[e], worlds.p[e], worlds.order[e]
     vehicles, dt, bodies = rules.numbers[1], rules.times[0], _bodies(worlds, rules, e)
     find(f, g, order, level, work.front, work.rear)
-    act(machine, bodies, Neighbours(work.front, work.rear), work.numbers, work.busy, vehicles)
+    act(machine, bodies, LaneNeighbours(work.front, work.rear), work.numbers, work.busy, vehicles)
     if not math.isnan(throttle):
         f[ACCELERATION, 0] = throttle
     if not math.isnan(wheel):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.highway_simulator.arithmetic import clip, dot2, dot3, not_zero
-from dynamics.highway_simulator.arrays import Bodies, Machine, Neighbours
+from dynamics.highway_simulator.arrays import Bodies, LaneNeighbours, Machine
 from dynamics.highway_simulator.lanes import reachable
 from dynamics.highway_simulator.layout import (
     A_GAP,
@@ -146,7 +146,7 @@ def acceleration(machine: Machine, bodies: Bodies, driver: int, body: int, leade
 
 
 @kernel_no_refcount
-def _mobil(machine: Machine, bodies: Bodies, near: Neighbours, i: int, lane: int, own: tuple[float, float]) -> bool:
+def _mobil(machine: Machine, bodies: Bodies, near: LaneNeighbours, i: int, lane: int, own: tuple[float, float]) -> bool:
     """Whether a vehicle changes to a lane: no vehicle has to brake hard for it, and it gains. `own` as in
     `change_lanes`.
 
@@ -175,7 +175,7 @@ def _mobil(machine: Machine, bodies: Bodies, near: Neighbours, i: int, lane: int
 def change_lanes(
     machine: Machine,
     bodies: Bodies,
-    near: Neighbours,
+    near: LaneNeighbours,
     i: int,
     changers: IntArray,
     changing: int,

@@ -41,7 +41,7 @@ from dynamics.traffic.occupancy_kernels import (
     update_turning_allowances,
 )
 from dynamics.traffic.reaction import LapPosition, ReactionWork, hardest_braking
-from dynamics.traffic.tables import Bodies, Motion, Tables, VehicleBodies, VehicleTables, bodies_of, motion_of
+from dynamics.traffic.tables import Motion, ReachableBodies, Tables, VehicleBodies, VehicleTables, bodies_of, motion_of
 
 __all__ = [
     "Occupancy",
@@ -278,10 +278,10 @@ class OtherVehicles:
         derive_tables(vehicles, lanes, self.settings, place, last, self.tables, work)
 
     @cached_property
-    def bodies(self) -> Bodies:
+    def bodies(self) -> ReachableBodies:
         """The rows of the tables by name."""
         named: Any = bodies_of
-        bodies: Bodies = named.py_func(*self.tables)
+        bodies: ReachableBodies = named.py_func(*self.tables)
         return bodies
 
     @property

@@ -12,7 +12,7 @@ import numpy as np
 
 from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.state import FloatArray, IntArray, Vehicle
-from dynamics.traffic.tables import Bodies, Motion, VehicleBodies
+from dynamics.traffic.tables import Motion, ReachableBodies, VehicleBodies
 
 __all__ = [
     "LaneMarkings",
@@ -65,7 +65,7 @@ def straight_overshoot(curvature: float, length: float, distance: float) -> floa
 
 @kernel_no_refcount
 def touched_lanes(
-    others: FloatArray, states: FloatArray, growth: FloatArray, lanes: LaneMarkings, bodies: Bodies
+    others: FloatArray, states: FloatArray, growth: FloatArray, lanes: LaneMarkings, bodies: ReachableBodies
 ) -> None:
     """Fill in `lane`, `first`, `last`, `low`, `high` and `reach` of `bodies`; NaN for a vehicle with NaN in its row.
 
@@ -134,12 +134,12 @@ def lap_distance(distance: float, lap: float) -> float:
 @kernel_no_refcount
 def update_turning_allowances(
     states0: FloatArray,
-    bodies0: Bodies,
+    bodies0: ReachableBodies,
     states: FloatArray,
     stretch: FloatArray,
     motion: Motion,
     lap: float,
-    bodies: Bodies,
+    bodies: ReachableBodies,
 ) -> None:
     """Fill in `budget`, `action` and `recent` of `bodies` from the frame before: the allowances left, plus their
     recovery, less the distance lost by turning.
@@ -180,8 +180,8 @@ def _lost(budget: float, action: float, slow: float, time: float, motion: Motion
 
 @kernel_inline
 def apart(first: IntArray, last: IntArray, low: FloatArray, high: FloatArray, i: int, j: int) -> bool:
-    """Whether vehicles i and j are in different lanes, by arrays of `Bodies` (m,). The arrays are parameters, since it
-    is slow to read them from a tuple in a loop."""
+    """Whether vehicles i and j are in different lanes, by arrays of `ReachableBodies` (m,). The arrays are
+    parameters, since it is slow to read them from a tuple in a loop."""
     if first[i] > last[i] or first[j] > last[j]:
         return low[j] >= high[i] or high[j] <= low[i]
     # The bands `low` to `high` of neighbouring lanes overlap by `marking_tolerance`.
@@ -214,7 +214,12 @@ def _braking_way(i: int, v: float, wrecked: bool, brakes: FloatArray, motion: Mo
 
 @kernel_no_refcount
 def least_rest_positions(
-    others: FloatArray, states: FloatArray, stretch: FloatArray, motion: Motion, order: IntArray, bodies: Bodies
+    others: FloatArray,
+    states: FloatArray,
+    stretch: FloatArray,
+    motion: Motion,
+    order: IntArray,
+    bodies: ReachableBodies,
 ) -> None:
     """Fill in `floor` of `bodies`: the least s at which a vehicle's centre comes to rest. It is less if the vehicle may
     reverse behind a vehicle in its lanes. Otherwise a reversing vehicle comes to rest within `motion.runout`."""
@@ -290,7 +295,9 @@ def rear_of(j: int, vehicles: VehicleBodies, stretch: FloatArray, motion: Motion
 
 
 @kernel_inline
-def least_next_position(j: int, states: FloatArray, stretch: FloatArray, motion: Motion, bodies: Bodies) -> float:
+def least_next_position(
+    j: int, states: FloatArray, stretch: FloatArray, motion: Motion, bodies: ReachableBodies
+) -> float:
     """Least s of the centre of vehicle `j` after one frame [m], by the bounds of `rear_of`."""
     v, floor, recent, along, back = states[j, 3], bodies.floor[j], bodies.recent, 0.0, 0.0
     if v >= motion.slow:

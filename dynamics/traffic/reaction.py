@@ -24,7 +24,7 @@ from dynamics.compiled import kernel_inline, kernel_no_refcount
 from dynamics.state import FloatArray, IntArray, Vehicle
 from dynamics.traffic.mobil import COMFORT, GAP, IMPOSED, TIME, TWICE_ROOT, desired_gap
 from dynamics.traffic.occupancy_kernels import apart, lap_distance
-from dynamics.traffic.tables import Bodies, Motion, VehicleBodies
+from dynamics.traffic.tables import Motion, ReachableBodies, VehicleBodies
 
 __all__ = ["LapPosition", "ReactionWork", "hardest_braking"]
 
@@ -265,7 +265,7 @@ def _greatest(numbers: FloatArray, m: int) -> float:
 
 
 @kernel_inline
-def _first_frame_ahead(i: int, j: int, states: FloatArray, bodies: Bodies, dt: float) -> int:
+def _first_frame_ahead(i: int, j: int, states: FloatArray, bodies: ReachableBodies, dt: float) -> int:
     """The first frame at which vehicle j may move in ahead of vehicle i; -1 if it is in the lanes of i already."""
     if not apart(bodies.first, bodies.last, bodies.low, bodies.high, i, j):
         return -1

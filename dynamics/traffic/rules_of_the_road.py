@@ -42,7 +42,7 @@ from dynamics.state import BoolArray, FloatArray, IntArray, Vehicle
 from dynamics.traffic.motion_limits import ROUNDING, MotionBounds, MotionLimits, limits_of
 from dynamics.traffic.occupancy import OtherVehicles
 from dynamics.traffic.occupancy_kernels import lap_distance, least_next_position, straight_overshoot
-from dynamics.traffic.tables import Bodies, Motion, VehicleTables, bodies_in, motion_of
+from dynamics.traffic.tables import Motion, ReachableBodies, VehicleTables, bodies_in, motion_of
 
 __all__ = [
     "EgoFootprint",
@@ -198,7 +198,7 @@ def _breaks_way(limits: MotionBounds, it: _Progress, most: float, budget: float,
 
 
 @kernel_inline
-def _heads_off(i: int, states: FloatArray, stretch: FloatArray, motion: Motion, bodies: Bodies) -> bool:
+def _heads_off(i: int, states: FloatArray, stretch: FloatArray, motion: Motion, bodies: ReachableBodies) -> bool:
     """Rule 2, *way*, for the heading of vehicle i: whether it takes more from the coming frame's distance than turning
     may. highway-env tests for crashes with the positions that constant velocity along the heading gives in that
     frame."""
@@ -214,7 +214,7 @@ def _heads_off(i: int, states: FloatArray, stretch: FloatArray, motion: Motion, 
 
 
 @kernel_inline
-def _touches_more(i: int, before: Bodies, now: Bodies) -> bool:
+def _touches_more(i: int, before: ReachableBodies, now: ReachableBodies) -> bool:
     """Rule 3, *lanes*: whether vehicle i may reach further across the road than before."""
     return not (now.low[i] >= before.low[i] - ROUNDING and now.high[i] <= before.high[i] + ROUNDING)
 

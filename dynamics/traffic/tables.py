@@ -13,10 +13,19 @@ import numpy as np
 from dynamics.compiled import kernel_inline, row_as_tuple
 from dynamics.state import FloatArray, IntArray
 
-__all__ = ["Bodies", "Motion", "Tables", "VehicleBodies", "VehicleTables", "bodies_in", "bodies_of", "motion_of"]
+__all__ = [
+    "Motion",
+    "ReachableBodies",
+    "Tables",
+    "VehicleBodies",
+    "VehicleTables",
+    "bodies_in",
+    "bodies_of",
+    "motion_of",
+]
 
 
-class Bodies(NamedTuple):
+class ReachableBodies(NamedTuple):
     """Reachable places of the bodies of m vehicles across and along the road.
 
     Attributes
@@ -90,7 +99,7 @@ class Motion(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """The arrays that hold the fields of `Bodies`: `marks` (3, m) of integers, `numbers` (9, m), `brakes` and
+    """The arrays that hold the fields of `ReachableBodies`: `marks` (3, m) of integers, `numbers` (9, m), `brakes` and
     `recent`."""
 
     marks: IntArray
@@ -117,16 +126,16 @@ class VehicleBodies(NamedTuple):
 
     rows: FloatArray
     states: FloatArray
-    bodies: Bodies
+    bodies: ReachableBodies
 
 
 @kernel_inline
-def bodies_of(marks: IntArray, numbers: FloatArray, brakes: FloatArray, recent: FloatArray) -> Bodies:
+def bodies_of(marks: IntArray, numbers: FloatArray, brakes: FloatArray, recent: FloatArray) -> ReachableBodies:
     """Name the rows of `Tables`."""
     lane, first, last = marks[0], marks[1], marks[2]
     low, high, reach, budget, action = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
     swing, floor, noses = numbers[5], numbers[6], numbers[7:9]
-    return Bodies(lane, first, last, low, high, reach, budget, action, swing, brakes, recent, floor, noses)
+    return ReachableBodies(lane, first, last, low, high, reach, budget, action, swing, brakes, recent, floor, noses)
 
 
 @kernel_inline

@@ -28,7 +28,7 @@ from dynamics.highway_simulator.layout import LANE_LENGTH
 from dynamics.road_networks.reachable.strips import ALWAYS, BODY_HALF, FAR, FRONT, NEAR, SEVERAL, START, end_of_lane
 from dynamics.state import FloatArray
 from dynamics.traffic.rules_of_the_road import EgoFootprint, gap_between
-from shield.certificate.network.followers import Brakes, has_obligation, is_seen, separation_behind
+from shield.certificate.network.followers import FollowerBraking, has_obligation, is_seen, separation_behind
 from shield.certificate.network.lateral_gap import lateral_gap, straight_motion
 from shield.certificate.network.projection import FAR_OFF
 from shield.certificate.network.tolerances import CLEAR
@@ -172,10 +172,12 @@ def _separation_if_it_follows(
     if obliged and trust == ASSUMED_KEPT:
         return np.inf
     if obliged and trust == BRAKING_AT_ONCE:
-        return separation_behind(others, road, rollout, bodies, j, Brakes(0, 0, True, row[FRONT]), conflict.there)
+        return separation_behind(
+            others, road, rollout, bodies, j, FollowerBraking(0, 0, True, row[FRONT]), conflict.there
+        )
     if not -row[NEAR] + row[BODY_HALF] <= box[0]:
         return _DOES_NOT_YIELD
-    brakes = Brakes(since, road.response.reaction, road.response.ahead, row[BODY_HALF])
+    brakes = FollowerBraking(since, road.response.reaction, road.response.ahead, row[BODY_HALF])
     return separation_behind(others, road, rollout, rollout.boxes, j, brakes, conflict.there)
 
 
@@ -201,7 +203,7 @@ def _separation_if_it_waits(
     delay, given = road.response.reaction, others.gives[i, lane]
     if lenient and given > 0 and since == 0:
         delay = max(delay - given, 0)
-    brakes = Brakes(since, delay, True, row[BODY_HALF])
+    brakes = FollowerBraking(since, delay, True, row[BODY_HALF])
     return separation_behind(others, road, rollout, rollout.boxes, j, brakes, conflict.there)
 
 

@@ -27,7 +27,7 @@ from shield.certificate.network.projection import FAR_OFF
 from shield.certificate.network.tolerances import CLEAR
 from shield.certificate.network.workspace import CandidateRollout, NetworkContext, NetworkVehicles
 
-__all__ = ["Brakes", "find_merging", "has_obligation", "is_seen", "separation_behind"]
+__all__ = ["FollowerBraking", "find_merging", "has_obligation", "is_seen", "separation_behind"]
 
 _FRAME_LIMIT = 100_000
 """Frame limit; a follower that still moves after this many frames is taken as unable to stop."""
@@ -55,7 +55,7 @@ def _arrival(v: float, way: float, drive: FloatArray, acceleration: float, dt: f
     return half * step + math.sqrt(reserve + (half * half - 2 * most) * step * step)
 
 
-class Brakes(NamedTuple):
+class FollowerBraking(NamedTuple):
     """How a vehicle brakes for the ego.
 
     Attributes
@@ -80,7 +80,7 @@ def separation_behind(
     rollout: CandidateRollout,
     rears: FloatArray,
     j: int,
-    brakes: Brakes,
+    brakes: FollowerBraking,
     rests: bool,
 ) -> float:
     """Least separation of the ego from a follower in reachable interval j that brakes for it [m]; a negative value

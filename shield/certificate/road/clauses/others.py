@@ -8,7 +8,7 @@ import numpy as np
 
 from dynamics.compiled import kernel_inline
 from dynamics.state import BoolArray, FloatArray, IntArray
-from dynamics.traffic.tables import Bodies
+from dynamics.traffic.tables import ReachableBodies
 
 __all__ = ["TOUCH", "RoadVehicles", "VehicleBuffers", "empty_vehicles", "vehicles_from"]
 
@@ -47,7 +47,8 @@ class RoadVehicles(NamedTuple):
 
 
 class VehicleBuffers(NamedTuple):
-    """The arrays that hold the fields of `RoadVehicles` beyond `Bodies`: numbers (5, m), and flags (2 + 2 lanes, m)."""
+    """The arrays that hold the fields of `RoadVehicles` beyond `ReachableBodies`: numbers (5, m), and flags
+    (2 + 2 lanes, m)."""
 
     numbers: FloatArray
     flags: BoolArray
@@ -59,7 +60,7 @@ def empty_vehicles(m: int, lanes: int) -> VehicleBuffers:
 
 
 @kernel_inline
-def vehicles_from(bodies: Bodies, numbers: FloatArray, flags: BoolArray) -> RoadVehicles:
+def vehicles_from(bodies: ReachableBodies, numbers: FloatArray, flags: BoolArray) -> RoadVehicles:
     """The rows of both buffers, by their names."""
     ahead, least, size, r, across = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
     behind, in_owned_lane, lanes = flags[0], flags[1], flags.shape[0] // 2 + 1

@@ -9,7 +9,7 @@ import numpy as np
 
 from dynamics.compiled import compiled
 from dynamics.state import FloatArray, IntArray
-from dynamics.traffic.tables import Bodies, Motion
+from dynamics.traffic.tables import Motion, ReachableBodies
 from shield.certificate.road.clauses.clause_inputs import LaneState
 from shield.certificate.road.clauses.cut_in import CUT_IN_DURATION
 from shield.certificate.road.clauses.footprint import Footprint
@@ -32,7 +32,7 @@ class SceneVehicles(NamedTuple):
     rows: FloatArray
     states: FloatArray
     stretch: FloatArray
-    bodies: Bodies
+    bodies: ReachableBodies
     motion: Motion
     others: RoadVehicles
 

@@ -101,12 +101,13 @@ class FilteredHighways(ABC):
         """Write the actions that verify in each of the environments from `first` to `last`, which belong to thread
         `part`, to `masks` (e, actions). The memory does not change."""
 
-    def masks(self) -> BoolArray:
-        """Mask of actions that verify now in each environment, (e, actions); all True where none does. Read-only:
-        changes no memory, record or later decision."""
+    def masks(self, fill: bool = True) -> BoolArray:
+        """Mask of actions that verify now in each environment, (e, actions). With `fill`, all True where none does.
+        Read-only: changes no memory, record or later decision."""
         masks = np.zeros((self.num_envs, self.actions), np.bool_)
         self._slices.run(lambda k, first, last: self._mask(k, first, last, masks))
-        masks[~masks.any(axis=1)] = True
+        if fill:
+            masks[~masks.any(axis=1)] = True
         return masks
 
     def reset(

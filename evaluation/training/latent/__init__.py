@@ -1,0 +1,1 @@
+"""Training of latent drivers on frames."""

@@ -1,0 +1,1 @@
+"""Drivers that plan in the latent space of a world model."""

@@ -12,6 +12,7 @@ from rich.console import Console
 from evaluation.commands.certifying import add_certifying
 from evaluation.commands.dynamics import dynamics_app
 from evaluation.commands.evaluating import add_evaluating
+from evaluation.commands.monitoring import monitor_app
 from evaluation.commands.names import DEMO_POLICY, DEMO_SETTING, EVALUATION_SEED
 from evaluation.commands.replaying import add_replaying
 from evaluation.commands.reporting import report
@@ -32,6 +33,7 @@ app = typer.Typer(
     add_completion=False,
 )
 app.add_typer(dynamics_app, name="dynamics")
+app.add_typer(monitor_app, name="monitor")
 _out, _err = Console(), Console(stderr=True, highlight=False)
 
 

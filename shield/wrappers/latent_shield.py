@@ -1,6 +1,6 @@
 """`LatentShield`: a filter of actions by a learned monitor, where no simulator's state exists.
 
-It reads observations only, and gives no guarantee: nothing is verified. `docs/explanation/learned-monitor.md` has its
+It reads observations only, and gives no guarantee: nothing is verified. `docs/learned-monitor.md` has its
 measured crash rates.
 """
 

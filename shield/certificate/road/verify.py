@@ -29,7 +29,9 @@ import numpy as np
 from dynamics.deprecation import RenamedText
 from dynamics.scenes.scene import Scene
 from dynamics.state import BoolArray, FloatArray, IntArray, RoadState, Vehicle
+from dynamics.traffic.motion_limits import bend_speed_of
 from dynamics.traffic.occupancy import OtherVehicles, curvature_of
+from dynamics.traffic.occupancy_kernels import straight_overshoot
 from dynamics.traffic.rules_of_the_road import EgoFootprint, footprint
 from dynamics.traffic.tables import VehicleTables
 from dynamics.vehicle.rollout_kernels import table_of
@@ -306,11 +308,24 @@ class PathVerifier:
 
     def of_each(self, result: Clearance, i: int = 0) -> FloatArray:
         """Separation of path `i` of a result from the places that each vehicle can reach, (m,) [m]; +inf out of
-        reach."""
+        reach. Where a path does not leave a vehicle on a bend its room, at most that room."""
         out = np.full(len(self.scene.others), np.inf)
         if result.found is not None:
             out[result.rows] = result.separations[i]
+            if self.around.curvature > 0 and result.found[0, i] < 0 and len(out):
+                out = np.minimum(out, result.found[0, i] + self._room_of_others())
         return out
+
+    def _room_of_others(self) -> FloatArray:
+        """How much more room a stop would have if each vehicle were the only one, (m,) [m]; see `room_of`."""
+        around, size, dt = self.around, self.size, self.scene.dt
+        speeds = np.abs(around.states[:, RoadState.SPEED])
+        distances = np.maximum(speeds, bend_speed_of(around.assumptions, around.curvature)) * dt
+        kernel: Any = straight_overshoot
+        overshoots = kernel.py_func(around.curvature, around.others[:, Vehicle.LENGTH], distances)
+        across: FloatArray = np.maximum(size.across, 0.5 * size.width + overshoots)
+        found: FloatArray = across.max() - across
+        return found
 
     def _close_gaps(self, paths: FloatArray, margin: FloatArray) -> None:
         """Set `margin` (n,) to -inf for paths through places where the map has no lane."""

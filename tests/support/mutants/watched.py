@@ -14,6 +14,7 @@ from mutants.kinds import (
     REACTION,
     TESTS_OF_LOT,
     TESTS_OF_PERMITS,
+    VERIFY,
     TESTS_OF_REACTION,
     Edit,
     both,
@@ -81,6 +82,14 @@ WATCHED = (
         "_overshoots_more",
         "return not _ <= _ + _",
         "return False",
+        "tests/shield/certificate/road/test_straight_motion_on_bends.py",
+    ),
+    off(
+        "room of the stop that speed on bends takes off",
+        VERIFY,
+        "PathVerifier.of_each",
+        "_ = _(_, _[0, _] + _())",
+        "pass",
         "tests/shield/certificate/road/test_straight_motion_on_bends.py",
     ),
     off(

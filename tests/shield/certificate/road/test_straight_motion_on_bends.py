@@ -52,7 +52,7 @@ def bend_of(road, nth):
     return float(s[np.argsort(-np.abs([float(road.curvature(np.array(x))) for x in s]))[nth]])
 
 
-def driven(hz, size, speeds, ahead, nth, frames=12):
+def driven(hz, size, speeds, ahead, nth, frames=12, aside=0.0):
     """Whether the ego, which stands in a bend, crashes; whether a plan verified before; and the violations."""
     config = {"simulation_frequency": hz, "policy_frequency": hz, "duration": 1e5, "action": INPUTS}
     env = ShieldedEnv(gym.make("racetrack-oval-v0", disable_env_checker=True, config=config), "worst-case")
@@ -60,7 +60,7 @@ def driven(hz, size, speeds, ahead, nth, frames=12):
     base = env.unwrapped
     road = read_network(base.road.network)
     s = bend_of(road, nth)
-    x, y, heading, _ = road.to_world(np.array([[s, road.centers[1], 0.0, 0.0]]))[0]
+    x, y, heading, _ = road.to_world(np.array([[s, road.centers[1] + aside, 0.0, 0.0]]))[0]
     ego = base.vehicle
     ego.position, ego.heading, ego.speed = np.array([x, y]), heading, 0.0
     ego.on_state_update()
@@ -110,6 +110,14 @@ def test_a_body_that_speeds_up_in_a_bend_is_named_before_it_crashes_the_ego():
         speeds.append(speeds[-1] + min(1.2, 0.2 * 75.0 / speeds[-1]))
     found = [driven(5, (5.0, 2.0), speeds, sum(speeds[:k]) / 5 + 5.0, 0, frames=k + 5) for k in (20, 24)]
     assert all(verified and violations == {"way": 1} for _, verified, violations in found)
+
+
+def test_a_far_body_is_named_that_takes_the_room_of_the_stop_by_its_speed():
+    """The ego stands beside the middle of its lane, and the body drives away from it."""
+    speeds = [10.0] * 5 + [10.0 + 0.8 * k for k in range(12)]
+    _, verified, violations = driven(5, (5.0, 2.0), speeds, -40.0, 0, frames=16, aside=0.4)
+    assert verified
+    assert violations == {"way": 1}
 
 
 @pytest.mark.parametrize(("speeds", "grows"), [((8.0, 9.0), False), ((14.0, 14.5), True), ((14.5, 14.0), False)])

@@ -51,6 +51,8 @@ class TrainOptions:
         str | None, typer.Option(help="joint-embedding (default) or reconstruction. Not of cnn-ppo.")
     ] = None
     size: Annotated[str | None, typer.Option(help="small (default) or large. Not of cnn-ppo.")] = None
+    horizon: Annotated[int | None, typer.Option(help="Imagined decisions; 4 by default. Not of cnn-ppo.")] = None
+    start: Annotated[Path | None, typer.Option(help="Folder of a driver to continue from. Not of cnn-ppo.")] = None
     cpu_seconds: Annotated[float | None, typer.Option(help="CPU time of cnn-ppo [s]; 1,200 by default.")] = None
 
 
@@ -61,11 +63,12 @@ def train(options: TrainOptions) -> None:
     """
     check_name("algorithm", options.algorithm, _ALGORITHMS)
     latent = options.algorithm == "latent"
-    others = ("cpu_seconds",) if latent else ("updates", "latent", "objective", "size")
+    networks = ("updates", "latent", "objective", "size", "horizon", "start")
+    others = ("cpu_seconds",) if latent else networks
     wrong = [f"--{name.replace('_', '-')}" for name in others if getattr(options, name) is not None]
     if wrong:
         raise ConfigError(f"{options.algorithm} has no {', '.join(wrong)}")
-    own = ("updates", "latent", "objective", "size", "discount") if latent else ("cpu_seconds", "discount")
+    own = (*networks, "discount") if latent else ("cpu_seconds", "discount")
     given: dict[str, Any] = {name: getattr(options, name) for name in own if getattr(options, name) is not None}
     given |= {name: getattr(options, name) for name in ("output", "setting", "shield", "seed")}
     check_writable(options.output)

@@ -20,6 +20,7 @@ from evaluation.commands.reproducing import add_reproducing
 from evaluation.commands.showing import add_showing
 from evaluation.commands.training import add_training
 from evaluation.commands.warming import add_warming
+from evaluation.commands.world_model import world_model_app
 from shield import __version__
 from shield.errors import ShieldError
 
@@ -34,6 +35,7 @@ app = typer.Typer(
 )
 app.add_typer(dynamics_app, name="dynamics")
 app.add_typer(monitor_app, name="monitor")
+app.add_typer(world_model_app, name="world-model")
 _out, _err = Console(), Console(stderr=True, highlight=False)
 
 

@@ -18,9 +18,6 @@ from shield.config import ShieldConfig
 
 __all__ = ["FrameEpisodes", "drive_frames", "frame_world"]
 
-_SIDE_BY_SIDE = 128
-"""Number of environments in a batch."""
-
 
 @dataclass(frozen=True)
 class FrameEpisodes:

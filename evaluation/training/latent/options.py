@@ -36,7 +36,8 @@ class LatentTrainingOptions:
     updates : number of updates of the world model and of the driver.
     seed : training seed, 0 to 89.
     latent, objective : of the world model, see `WorldModelConfig`. size : "small" (0.6 million weights) or "large".
-    discount : γ of the driver.
+    discount, horizon : γ of the driver, and decisions that it imagines.
+    start : folder of a driver with the same networks, from whose weights the training continues; None for new ones.
     envs : environments that drive a decision in each update.
     warm_up : decisions with uniform actions before the first update.
     capacity : decisions that the episode queue holds.
@@ -62,6 +63,8 @@ class LatentTrainingOptions:
     objective: Objective = "joint-embedding"
     size: Size = "small"
     discount: float = 0.95
+    horizon: int = 4
+    start: Path | None = None
     envs: int = 32
     warm_up: int = 4_000
     capacity: int = 60_000
@@ -118,8 +121,9 @@ class LatentTrainingOptions:
     @property
     def driver(self) -> DriverConfig:
         """Configuration of the driver."""
-        return DriverConfig(discount=self.discount, seed=self.seed)
+        return DriverConfig(discount=self.discount, horizon=self.horizon, seed=self.seed)
 
     def to_json(self) -> dict[str, Any]:
         """As JSON values."""
-        return {**asdict(self), "output": str(self.output), "setting": self.environment.name}
+        paths = {"output": str(self.output), "start": None if self.start is None else str(self.start)}
+        return {**asdict(self), **paths, "setting": self.environment.name}

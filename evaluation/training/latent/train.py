@@ -6,7 +6,7 @@ import copy
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,8 @@ from evaluation.training.latent.collect import Collector, queue_columns
 from evaluation.training.latent.options import FIRST_VALIDATION_SEED, SEED_SPAN, LatentTrainingOptions
 from mpc.latent.actor_critic import ActorCritic, driver_losses
 from mpc.latent.driver import LatentDriver
-from mpc.latent.files import save_driver
+from mpc.latent.files import load_driver, save_driver
+from shield.errors import ConfigError
 
 __all__ = ["Progress", "TrainedDriver", "score", "train_latent"]
 
@@ -82,9 +83,9 @@ def train_latent(options: LatentTrainingOptions, tell: Callable[[Progress], None
     Raises
     ------
     ConfigError
-        If the compiled highway does not support the setting or the shield.
+        If the compiled highway does not support the setting or the shield, or `start` has other networks.
     ModelError
-        If the training diverges.
+        If the training diverges, or `start` cannot be read.
     """
     with one_thread(), tempfile.TemporaryDirectory(prefix="world-model-") as folder:
         torch.manual_seed(options.seed)
@@ -135,6 +136,8 @@ class _Training:
         self.model = WorldModel(config)
         self.networks = ActorCritic(options.driver, config.features, config.actions)
         self.driver = LatentDriver(self.model, self.networks)
+        if options.start is not None:
+            self._continue(load_driver(options.start))
         self.collector = Collector(self._world, SEED_SPAN * options.seed, options.exploration)
         self._rng = np.random.default_rng(options.seed)
         self._optimisers = [
@@ -143,7 +146,7 @@ class _Training:
         ]
         self._queue = EpisodeQueue(folder, queue_columns(config), options.capacity)
         while len(self._queue) < options.warm_up:
-            self._drive(None)
+            self._drive(None if options.start is None else self.driver)
         self._losses: dict[str, float] = {}
         self._since = 0
         self.history: list[Progress] = []
@@ -153,6 +156,13 @@ class _Training:
     def seconds(self) -> float:
         """CPU time so far [s]."""
         return time.process_time() - self._started
+
+    def _continue(self, earlier: LatentDriver) -> None:
+        """Take over the weights of an earlier driver."""
+        if earlier.model.config != replace(self.model.config, seed=earlier.model.config.seed):
+            raise ConfigError(f"{self.options.start} has another world model: {earlier.model.config}")
+        self.model.load_state_dict(earlier.model.state_dict())
+        self.networks.load_state_dict(earlier.networks.state_dict())
 
     def _drive(self, driver: LatentDriver | None) -> None:
         for episode in self.collector.step(driver):

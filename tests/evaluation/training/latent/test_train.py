@@ -71,6 +71,18 @@ def test_the_same_seed_trains_the_same_weights(trained, tmp_path):
     assert all(np.array_equal(ours[name], theirs[name]) for name in ours)
 
 
+def test_a_training_continues_from_a_driver_with_the_same_networks(trained, tmp_path):
+    """The warm-up is driven by the earlier driver, and one small step changes its weights a little."""
+    made, _, options = trained
+    given = {**vars(options), "start": made.path, "updates": 1, "rate": 1e-7}
+    again = train_latent(LatentTrainingOptions(**{**given, "output": tmp_path / "more", "horizon": 2}))
+    ours, theirs = made.driver.model.state_dict(), again.driver.model.state_dict()
+    assert all(np.allclose(ours[name], theirs[name], atol=1e-5) for name in ours)
+    assert again.driver.networks.config.horizon == 2
+    with pytest.raises(ConfigError, match="another world model"):
+        train_latent(LatentTrainingOptions(**{**given, "output": tmp_path, "latent": "categorical"}))
+
+
 def test_episodes_of_the_collector_are_whole_and_rewarded_as_in_the_environment():
     """Each episode begins at a reset: its frames, and the driver's calls, follow each other; a crash ends it."""
     world = frame_world(FAST, 3, VIEW)

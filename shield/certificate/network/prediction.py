@@ -7,7 +7,9 @@ import math
 from typing import Any
 
 import numpy as np
+from highway_env.road.lane import CircularLane
 
+from dynamics.errors import SceneError
 from dynamics.highway_simulator.layout import LANE_LENGTH
 from dynamics.road_networks.geometry.lanes import NetworkLanes
 from dynamics.road_networks.geometry.layout import PRIORITY
@@ -42,8 +44,10 @@ from shield.certificate.network.others import read_traffic
 from shield.certificate.network.workspace import EgoExtents, NetworkContext, NetworkFollowerResponse, NetworkVehicles
 from shield.config import ShieldConfig
 
-__all__ = ["NetworkPredictor", "network_context"]
+__all__ = ["LARGEST_ARC", "NetworkPredictor", "network_context"]
 
+LARGEST_ARC = 5.0
+"""Greatest angle of a lane that is an arc [rad]."""
 _STRIPS = 1024
 """Initial capacity, in reachable intervals."""
 _BENT = 1.0
@@ -51,7 +55,14 @@ _BENT = 1.0
 
 
 def network_context(base: Any, alone: EgoOnNetwork, config: ShieldConfig) -> NetworkContext:
-    """Lanes, assumptions and extents of the ego, for an unwrapped environment."""
+    """Lanes, assumptions and extents of the ego, for an unwrapped environment.
+
+    Raises
+    ------
+    SceneError
+        If a lane is an arc of more than `LARGEST_ARC`.
+    """
+    _refuse_long_arcs(base.road.network)
     a, buffer, frequency = config.assumptions, config.buffer, base.config["simulation_frequency"]
     network, machine = alone.rules.network, alone.machine
     lanes = NetworkLanes(machine.sums, machine.loops, network.lanes, network.ids, network.near)
@@ -76,6 +87,18 @@ def network_context(base: Any, alone: EgoOnNetwork, config: ShieldConfig) -> Net
         body=EgoExtents(length, width, length + buffer.longitudinal, width + buffer.lateral, a.visible_distance),
         period=1 / frequency,
     )
+
+
+def _refuse_long_arcs(network: Any) -> None:
+    """Raise `SceneError` if a lane is an arc of more than `LARGEST_ARC`."""
+    for (a, b, k), lane in zip(index_of(network), network.lanes_list(), strict=True):
+        turn = lane.length / lane.radius if isinstance(lane, CircularLane) else 0.0
+        if turn > LARGEST_ARC:
+            raise SceneError(
+                f"lane {(a, b, k)} is an arc of {math.degrees(turn):.0f} degrees; without simulation at most "
+                f"{math.degrees(LARGEST_ARC):.0f} are accepted, because a body at its start can reach across its end: "
+                "divide it into two lanes, or pass ShieldConfig.simulated_traffic()"
+            )
 
 
 def _rooms(marks: IntArray, numbers: FloatArray, lengths: FloatArray, beyond_ends: FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ from highway_env.road.lane import CircularLane, StraightLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.objects import Obstacle
 
+from dynamics.errors import SceneError
 from dynamics.road_networks.reachable.strips import CENTRED_FROM, FRONT, START, Strip, add, empty_strips
 from shield import ShieldConfig, ShieldedEnv
 from shield.certificate.network.monitor import _inside
@@ -369,3 +370,21 @@ def test_straight_motion_out_of_a_bend_crashes_no_ego_with_a_verified_plan(speed
     env = shielded(bow, (("b", "c", 1), ahead + 2.5), 0.0, 5, action=SLOW)
     scripted(env, out_of_the_bow(speed, 5, 3, before))
     assert not crash_with_a_verified_plan(env, 6)
+
+
+def nearly_a_circle(turn):
+    """A lane into an arc."""
+
+    def build(network):
+        network.add_lane("a", "b", StraightLane([-60, 0], [0, 0], speed_limit=15))
+        arc = CircularLane([0, 12], 12, -math.pi / 2, turn - math.pi / 2, speed_limit=15)
+        network.add_lane("b", "c", arc)
+
+    return build
+
+
+def test_an_arc_of_nearly_a_circle_is_refused():
+    """A body at its start can reach across its end: an attack drove the ego into its tail with a verified plan."""
+    with pytest.raises(SceneError, match=r"lane \('b', 'c', 0\) is an arc of 338 degrees.*divide it into two lanes"):
+        shielded(nearly_a_circle(5.9), (("a", "b", 0), 10.0), 5.0, 10)
+    assert shielded(nearly_a_circle(4.9), (("a", "b", 0), 10.0), 5.0, 10)

@@ -54,7 +54,7 @@ class LatentTrainingOptions:
         If a value is not valid.
     """
 
-    output: Path
+    output: str | Path
     setting: str | Setting = "highway-fast"
     shield: str = "none"
     updates: int = 3_000

@@ -107,6 +107,7 @@ def evaluate(
     ],
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each row.")] = 512,
     seed: Annotated[int, typer.Option(min=FIRST_EVALUATION_SEED, help="First seed of the episodes.")] = _FRESH_SEED,
+    baselines: Annotated[bool, typer.Option(help="Whether the table has the baselines.")] = True,
     lookahead: Annotated[int, typer.Option(min=0, help="Imagined decisions by which latent drivers compare.")] = 0,
     imagination: Annotated[
         int, typer.Option(min=0, help="Episodes in which imagined occupancy is measured; 0 for none.")
@@ -126,7 +127,9 @@ def evaluate(
     from evaluation.running.frame_table import BASELINES, frame_table
     from evaluation.settings import get_setting
 
-    drivers = [*BASELINES, *(driver or [])]
+    drivers = [*(BASELINES if baselines else ()), *(driver or [])]
+    if not drivers:
+        raise ConfigError("--no-baselines leaves no driver: name one")
     where, seeds = get_setting(setting), range(seed, seed + episodes)
     with _err.status("driving") as status:
         table = frame_table(drivers, where, seeds, split(shield), lookahead, status.update)

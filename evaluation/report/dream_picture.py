@@ -85,5 +85,5 @@ def _decoded(dream: Dream, t: int) -> NDArray[np.uint8]:
 
 
 def _enlarged(picture: NDArray[np.uint8]) -> Image.Image:
-    """The picture, each pixel `_SCALE` high and twice as wide, since a frame's pixels are longer than wide."""
+    """The picture with larger pixels."""
     return Image.fromarray(np.repeat(np.repeat(picture, _SCALE, 0), _SCALE, 1))

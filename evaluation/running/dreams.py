@@ -24,7 +24,7 @@ __all__ = ["AHEAD", "Dream", "Imagination", "dream", "imagination_quality"]
 AHEAD = (1, 3, 10)
 """Decisions ahead at which imagined occupancy is measured."""
 _OCCUPIED = 0.5
-"""Probability, and share of a cell, from which it counts as occupied."""
+"""Share of a cell from which it counts as occupied."""
 
 
 @dataclass(frozen=True)
@@ -112,8 +112,9 @@ class Imagination:
     Attributes
     ----------
     ahead : decisions.
-    imagined : of the model. constant_velocity : of others that keep their speed relative to the ego.
-    mean_map : of the cells that are occupied most often, as many as are on average.
+    imagined : of the cells that the model takes for the most likely, as many as are occupied in the episode.
+    constant_velocity : of others that keep their speed relative to the ego.
+    mean_map : of the cells that are occupied most often, as many as are occupied.
     """
 
     ahead: int
@@ -140,16 +141,21 @@ def imagination_quality(driver: LatentDriver, setting: Setting, seeds: range, pe
             if len(frames) <= ahead:
                 continue
             truth = grid[ahead:, 0] >= _OCCUPIED
-            count = max(round(float(truth.mean()) * mean.size), 1)
-            common = np.broadcast_to(mean >= np.sort(mean, axis=None)[-count], truth.shape)
+            share = float(truth.mean())
             guesses = (
-                _imagined(driver.model, frames, actions, ahead) >= _OCCUPIED,
+                _most(_imagined(driver.model, frames, actions, ahead), share),
                 _moved(grid[:-ahead], driver, ahead * period) >= _OCCUPIED,
-                common,
+                np.broadcast_to(_most(mean, share), truth.shape),
             )
             for row, guess in zip(scores, guesses, strict=True):
                 row += (guess & truth).sum(), (guess | truth).sum()
         found.append(Imagination(ahead, *(float(a / max(b, 1)) for a, b in scores)))
+    return found
+
+
+def _most(likely: NDArray[Any], share: float) -> NDArray[np.bool_]:
+    """The most likely cells, a share of all."""
+    found: NDArray[np.bool_] = likely >= np.quantile(likely, 1 - share)
     return found
 
 

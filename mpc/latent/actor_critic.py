@@ -179,8 +179,8 @@ class DriverLosses:
 
 
 def driver_losses(model: WorldModel, driver: ActorCritic, losses: Losses, states: int | None = None) -> DriverLosses:
-    """Losses on states of a batch. Actor and critic also learn on states that were imagined, with the targets of the
-    frames that came, as in MuZero (Schrittwieser et al. 2020), because rollouts pass through such states.
+    """Losses on states of a batch. The critic also learns the values of imagined states, as in MuZero (Schrittwieser
+    et al. 2020), because a rollout ends in one.
 
     Parameters
     ----------
@@ -196,15 +196,10 @@ def driver_losses(model: WorldModel, driver: ActorCritic, losses: Losses, states
     policy = logs.detach().exp()
     values = (policy * returns).sum(-1)
     loss = -(target * logs).sum(-1).mean() + driver.value_loss(starts.features, values).mean()
-    known = torch.zeros(count, dtype=torch.bool).index_fill(0, chosen, True).reshape(observed.h.shape[:2])
-    goals = torch.zeros(count, target.shape[-1]).index_copy(0, chosen, target).reshape(*known.shape, -1)
-    later = torch.zeros(count).index_copy(0, chosen, values).reshape(known.shape)
+    later = torch.full((count,), torch.nan).index_put((chosen,), values).reshape(observed.h.shape[:2])
     for k, (imagined, alive) in enumerate(losses.unrolled, 1):
-        rows = alive & known[:, k:]
-        if rows.any():
-            features = imagined.features[rows]
-            each = driver.value_loss(features, later[:, k:][rows])
-            each = each - (goals[:, k:][rows] * torch.log_softmax(driver.actor(features), -1)).sum(-1)
-            loss = loss + each.mean() / len(losses.unrolled)
+        known = alive & ~later[:, k:].isnan()
+        if known.any():
+            loss = loss + driver.value_loss(imagined.features[known], later[:, k:][known]).mean() / len(losses.unrolled)
     entropy = -(policy * logs.detach()).sum(-1).mean()
     return DriverLosses(loss, float(values.mean()), float(entropy))

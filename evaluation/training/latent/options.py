@@ -54,10 +54,10 @@ class LatentTrainingOptions:
         If a value is not valid.
     """
 
-    output: Path
+    output: str | Path
     setting: str | Setting = "highway-fast"
     shield: str = "none"
-    updates: int = 3_000
+    updates: int = 2_600
     seed: int = 0
     latent: Latent = "simnorm"
     objective: Objective = "joint-embedding"
@@ -72,9 +72,9 @@ class LatentTrainingOptions:
     length: int = 10
     exploration: float = 0.1
     rate: float = 1e-3
-    starts: int = 128
+    starts: int = 96
     validate_every: int = 200
-    validation_episodes: int = 256
+    validation_episodes: int = 192
     crash_limit: float = 0.025
 
     def __post_init__(self) -> None:

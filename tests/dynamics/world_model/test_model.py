@@ -146,9 +146,10 @@ def test_predictions_stop_at_the_end_of_an_episode():
         assert torch.equal(unrolled.alive, torch.from_numpy(~crossed).expand(24, -1))
 
 
-def test_the_model_learns_a_toy_world():
+@pytest.mark.parametrize(("latent", "places"), [("simnorm", 0.9), ("categorical", 0.6)])
+def test_the_model_learns_a_toy_world(latent, places):
     """Reward, collision and the others' places are predicted two decisions ahead, without frames."""
-    model = trained(SMALL, 130)
+    model = trained(replace(SMALL, latent=latent), 130)
     batch = toy(np.random.default_rng(7), b=64)
     with torch.no_grad():
         state = model.first(model.embed(batch.frames[:, 0]))
@@ -162,7 +163,7 @@ def test_the_model_learns_a_toy_world():
     assert ((outcomes.collision > 0) == crashed).float().mean() > 0.9
     assert ((outcomes.continuation < 0) == crashed).float().mean() > 0.9
     columns = batch.frames[:, 2, OTHERS, 8, ::2].float().argmax(-1)
-    assert (grid.mean(1).argmax(-1) == columns).float().mean() > 0.9
+    assert (grid.mean(1).argmax(-1) == columns).float().mean() > places
 
 
 def spread(config: WorldModelConfig) -> float:

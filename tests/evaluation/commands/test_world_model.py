@@ -133,6 +133,7 @@ def test_imagined_occupancy_is_compared_with_two_baselines():
         (("train", "--seed", 90), "below 90"),
         (("train", "--setting", "roundabout", "--updates", 1), ""),
         (("evaluate", "nowhere"), "no driver"),
+        (("evaluate", "--no-baselines"), "leaves no driver"),
         (("evaluate", "--shield", "steel"), "unknown shield"),
         (("evaluate", "--output", "table.txt"), "csv"),
         (("dream", "nowhere"), "no checkpoint"),

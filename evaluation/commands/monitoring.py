@@ -32,7 +32,7 @@ def train(
     environments: Annotated[int, typer.Option(min=1, help="Environments of a round.")] = 96,
     steps: Annotated[int, typer.Option(min=1, help="Decisions in each of them.")] = 300,
     calibration: Annotated[int, typer.Option(min=1, help="Calibration episodes.")] = 300,
-    miss: Annotated[float, typer.Option(help="Share of the unsafe actions that the threshold may miss.")] = 0.05,
+    miss: Annotated[float, typer.Option(help="Share of the unsafe actions that the threshold may miss.")] = 0.003,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the initial weights and the order of the states.")] = 0,
     output: Annotated[Path, typer.Option(help="Folder of the monitor.")] = Path("runs", "monitor"),
 ) -> None:

@@ -33,6 +33,7 @@ class MonitorRounds:
     rounds : the first is driven without a monitor, up to 7. environments, steps : of each round.
     keep_safe : share of the states without an unsafe action that are trained on.
     calibration : number of calibration episodes. miss : share of the unsafe actions that the threshold may miss.
+    round_miss : the same for the monitors of the rounds, which should see states near unsafe ones.
     driver : as in `named_driver`. training : of each round.
     """
 
@@ -43,15 +44,17 @@ class MonitorRounds:
     steps: int = 300
     keep_safe: float = 0.5
     calibration: int = 300
-    miss: float = 0.05
+    miss: float = 0.003
+    round_miss: float = 0.05
     driver: str = "mixed"
     training: MonitorTraining = field(default_factory=MonitorTraining)
 
     def __post_init__(self) -> None:
         if not 1 <= self.rounds < _CALIBRATION_SEED // _ROUND_SEEDS:
             raise ConfigError(f"a safety monitor is trained in 1 to 7 rounds, not {self.rounds}")
-        if not 0 < self.miss < 1:
-            raise ConfigError(f"miss is a share between 0 and 1, not {self.miss!r}")
+        for name in ("miss", "round_miss"):
+            if not 0 < getattr(self, name) < 1:
+                raise ConfigError(f"{name} is a share between 0 and 1, not {getattr(self, name)!r}")
 
 
 def train_monitor(
@@ -82,14 +85,16 @@ def train_monitor(
             f"{found.unsafe.all(axis=1).mean():.3f} of the states lost"
         )
         monitor = fit(SafetyMonitor(shape), LabelledStates.join(parts), given.training)
-        monitor = _calibrated(monitor, given, shape, drive)
+        monitor = _calibrated(monitor, given, given.round_miss, drive)
         progress(f"round {k}: threshold {monitor.config.threshold:.4f}")
+    monitor = _calibrated(monitor, given, given.miss, drive)
+    progress(f"threshold {monitor.config.threshold:.4f}")
     notes = {"rounds": asdict(given), "states": [len(part.frames) for part in parts]}
     return monitor, notes
 
 
-def _calibrated(monitor: SafetyMonitor, given: MonitorRounds, shape: MonitorConfig, drive: Any) -> SafetyMonitor:
+def _calibrated(monitor: SafetyMonitor, given: MonitorRounds, miss: float, drive: Any) -> SafetyMonitor:
     """The monitor, calibrated on episodes driven behind it."""
-    world = LabelledHighways(given.calibration, given.env_id, given.config, shape.view)
+    world = LabelledHighways(given.calibration, given.env_id, given.config, monitor.config.view)
     states, _ = gather_episodes(world, filtered_driver(monitor, drive), _CALIBRATION_SEED)
-    return calibrated(monitor, states, given.miss)
+    return calibrated(monitor, states, miss)

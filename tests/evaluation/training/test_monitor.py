@@ -129,11 +129,17 @@ def test_a_crash_is_near_in_the_last_two_decisions_of_its_episode(world):
 
 def test_rounds_give_a_calibrated_monitor():
     options = MonitorRounds(
-        rounds=2, environments=6, steps=80, calibration=16, miss=0.2, training=MonitorTraining(epochs=2, batch=64)
+        rounds=2,
+        environments=6,
+        steps=80,
+        calibration=16,
+        miss=0.1,
+        round_miss=0.2,
+        training=MonitorTraining(epochs=2, batch=64),
     )
     lines = []
     monitor, notes = train_monitor(options, SMALL, lines.append)
-    assert len(lines) == 4
+    assert len(lines) == 5
     assert len(notes["states"]) == 2
     driven = filtered_driver(monitor, named_driver("faster"))(np.zeros((2, 5, 64, 64), np.uint8), None)
     assert driven.shape == (2,)

@@ -78,7 +78,7 @@ def grade_command(
     from evaluation.threads import one_thread
     from evaluation.training.monitor_grading import grade_drivers
 
-    names = split(drivers)
+    names = split([drivers])
     if not names:
         raise ConfigError("--drivers names at least one of random, faster, idle, slower, mixed")
     chosen, monitor = get_setting(setting), load_monitor(folder)

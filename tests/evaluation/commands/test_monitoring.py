@@ -18,7 +18,7 @@ def run(*words):
 
 
 def test_a_monitor_is_trained_and_graded(tmp_path):
-    sizes = ["--rounds", 1, "--environments", 6, "--steps", 60, "--calibration", 12, "--miss", 0.2]
+    sizes = ["--rounds", 1, "--environments", 8, "--steps", 100, "--calibration", 12, "--miss", 0.2]
     made = run("train", *sizes, "--output", tmp_path / "monitor")
     assert made.exit_code == 0, made.output
     given = ["--drivers", "faster", "--episodes", 3, "--seed", 300, "--output", tmp_path / "grades.csv"]

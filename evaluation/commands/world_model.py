@@ -51,6 +51,9 @@ class TrainOptions:
         str | None, typer.Option(help="joint-embedding (default) or reconstruction. Not of cnn-ppo.")
     ] = None
     size: Annotated[str | None, typer.Option(help="small (default) or large. Not of cnn-ppo.")] = None
+    override_penalty: Annotated[
+        float | None, typer.Option(help="Deduction for each overridden decision. Not of cnn-ppo.")
+    ] = None
     horizon: Annotated[int | None, typer.Option(help="Imagined decisions; 4 by default. Not of cnn-ppo.")] = None
     start: Annotated[Path | None, typer.Option(help="Folder of a driver to continue from. Not of cnn-ppo.")] = None
     cpu_seconds: Annotated[float | None, typer.Option(help="CPU time of cnn-ppo [s]; 1,200 by default.")] = None
@@ -63,7 +66,7 @@ def train(options: TrainOptions) -> None:
     """
     check_name("algorithm", options.algorithm, _ALGORITHMS)
     latent = options.algorithm == "latent"
-    networks = ("updates", "latent", "objective", "size", "horizon", "start")
+    networks = ("updates", "latent", "objective", "size", "override_penalty", "horizon", "start")
     others = ("cpu_seconds",) if latent else networks
     wrong = [f"--{name.replace('_', '-')}" for name in others if getattr(options, name) is not None]
     if wrong:

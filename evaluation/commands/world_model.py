@@ -30,6 +30,10 @@ world_model_app = typer.Typer(
 _out, _err = Console(), Console(stderr=True, highlight=False)
 
 _ALGORITHMS = ("latent", "cnn-ppo")
+_OF_LATENT = (
+    *("updates", "latent", "objective", "size", "override_penalty", "rate", "validate_every", "horizon", "start"),
+)
+"""Options of a latent driver only."""
 _FRESH_SEED = 3_000_000
 
 
@@ -51,6 +55,11 @@ class TrainOptions:
         str | None, typer.Option(help="joint-embedding (default) or reconstruction. Not of cnn-ppo.")
     ] = None
     size: Annotated[str | None, typer.Option(help="small (default) or large. Not of cnn-ppo.")] = None
+    override_penalty: Annotated[
+        float | None, typer.Option(help="Deduction for each overridden decision. Not of cnn-ppo.")
+    ] = None
+    rate: Annotated[float | None, typer.Option(help="Learning rate; 0.001 by default. Not of cnn-ppo.")] = None
+    validate_every: Annotated[int | None, typer.Option(help="Updates between two validations. Not of cnn-ppo.")] = None
     horizon: Annotated[int | None, typer.Option(help="Imagined decisions; 4 by default. Not of cnn-ppo.")] = None
     start: Annotated[Path | None, typer.Option(help="Folder of a driver to continue from. Not of cnn-ppo.")] = None
     cpu_seconds: Annotated[float | None, typer.Option(help="CPU time of cnn-ppo [s]; 1,200 by default.")] = None
@@ -63,12 +72,22 @@ def train(options: TrainOptions) -> None:
     """
     check_name("algorithm", options.algorithm, _ALGORITHMS)
     latent = options.algorithm == "latent"
-    networks = ("updates", "latent", "objective", "size", "horizon", "start")
+    networks = (
+        "updates",
+        "latent",
+        "objective",
+        "size",
+        "override_penalty",
+        "rate",
+        "validate_every",
+        "horizon",
+        "start",
+    )
     others = ("cpu_seconds",) if latent else networks
     wrong = [f"--{name.replace('_', '-')}" for name in others if getattr(options, name) is not None]
     if wrong:
         raise ConfigError(f"{options.algorithm} has no {', '.join(wrong)}")
-    own = (*networks, "discount") if latent else ("cpu_seconds", "discount")
+    own = (*_OF_LATENT, "discount") if latent else ("cpu_seconds", "discount")
     given: dict[str, Any] = {name: getattr(options, name) for name in own if getattr(options, name) is not None}
     given |= {name: getattr(options, name) for name in ("output", "setting", "shield", "seed")}
     check_writable(options.output)

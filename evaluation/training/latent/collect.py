@@ -34,14 +34,15 @@ class Collector:
     world : environments that observe frames; it is seeded and reset here.
     seed : of the first environment, and of the exploration.
     exploration : share of the actions that are drawn uniformly.
+    override_penalty : deduction from the reward of each decision that a shield overrides.
 
     Attributes
     ----------
     steps : number of decisions so far.
     """
 
-    def __init__(self, world: FastHighwayVecEnv, seed: int, exploration: float) -> None:
-        self.world, self.exploration = world, exploration
+    def __init__(self, world: FastHighwayVecEnv, seed: int, exploration: float, override_penalty: float = 0.0) -> None:
+        self.world, self.exploration, self._penalty = world, exploration, override_penalty
         self._rng = np.random.default_rng(seed)
         world.seed(seed)
         self._observations = world.reset()
@@ -60,7 +61,8 @@ class Collector:
         ended = []
         for i, info in enumerate(infos):
             over = bool(done[i]) and not info["TimeLimit.truncated"]
-            self._open[i].append((frames[i], actions[i], rewards[i], over, bool(info["crashed"])))
+            reward = rewards[i] - self._penalty * bool(info.get("shield", {}).get("overridden", False))
+            self._open[i].append((frames[i], actions[i], reward, over, bool(info["crashed"])))
             if done[i]:
                 columns = zip(*self._open[i], strict=True)
                 names = ("frame", "action", "reward", "terminated", "crashed")

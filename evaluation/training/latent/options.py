@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from dynamics.world_model.config import Latent, Objective, WorldModelConfig
-from evaluation.names import check_name
+from evaluation.names import check_name, check_penalty
 from evaluation.settings import Setting, get_setting
 from mpc.latent.actor_critic import DriverConfig
 from shield.config import PROFILES, ShieldConfig
@@ -33,6 +33,7 @@ class LatentTrainingOptions:
     output : folder of the checkpoint.
     setting : a straight highway with meta-actions.
     shield : a profile of `ShieldConfig` to learn inside the shield, or "none".
+    override_penalty : deduction from the reward of each overridden decision in training; 0 without a shield.
     updates : number of updates of the world model and of the driver.
     seed : training seed, 0 to 89.
     latent, objective : of the world model, see `WorldModelConfig`. size : "small" (0.6 million weights) or "large".
@@ -57,6 +58,7 @@ class LatentTrainingOptions:
     output: str | Path
     setting: str | Setting = "highway-fast"
     shield: str = "none"
+    override_penalty: float = 0.0
     updates: int = 2_600
     seed: int = 0
     latent: Latent = "simnorm"
@@ -93,6 +95,8 @@ class LatentTrainingOptions:
             raise ConfigError(f"rate is a positive number, not {self.rate!r}")
         if self.warm_up < self.batch * self.length:
             raise ConfigError(f"warm_up has at least one batch, {self.batch * self.length} decisions")
+        if check_penalty(self.override_penalty) and self.shield == "none":
+            raise ConfigError("an override penalty needs a shield")
         check_name("size", self.size, get_args(Size))
         check_name("shield", self.shield, [*PROFILES, "none"])
         _ = self.environment, self.model, self.driver

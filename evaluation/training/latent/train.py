@@ -115,6 +115,7 @@ def _figures(episodes: FrameEpisodes) -> dict[str, Any]:
         "return": round(float(episodes.returns.mean()), 3),
         "crash": round(float(episodes.crashed.mean()), 4),
         "speed": round(float(episodes.speed.mean()), 3),
+        "overridden": round(episodes.override_share, 4),
     }
 
 
@@ -138,7 +139,7 @@ class _Training:
         self.driver = LatentDriver(self.model, self.networks)
         if options.start is not None:
             self._continue(load_driver(options.start))
-        self.collector = Collector(self._world, SEED_SPAN * options.seed, options.exploration)
+        self.collector = Collector(self._world, SEED_SPAN * options.seed, options.exploration, options.override_penalty)
         self._rng = np.random.default_rng(options.seed)
         self._optimisers = [
             torch.optim.AdamW(network.parameters(), lr=options.rate, eps=1e-6, weight_decay=decay)
@@ -199,7 +200,7 @@ class _Training:
             float(episodes.returns.mean()),
             float(episodes.crashed.mean()),
             float(episodes.speed.mean()),
-            score(episodes, self.options.crash_limit),
+            self._score(episodes),
         )
         self.history.append(progress)
         weights = [copy.deepcopy(network.state_dict()) for network in (self.model, self.networks)]
@@ -214,7 +215,7 @@ class _Training:
         for checkpoint in self._checkpoints:
             self._load(checkpoint)
             episodes = self._driven(self.options.validation_episodes)
-            found.append((score(episodes, self.options.crash_limit) + checkpoint.score, checkpoint, episodes))
+            found.append((self._score(episodes) + checkpoint.score, checkpoint, episodes))
         _, best, episodes = max(found, key=lambda each: each[0])
         self._load(best)
         return best, episodes
@@ -223,15 +224,19 @@ class _Training:
         begin = FIRST_VALIDATION_SEED + first
         return drive_frames(self.driver, self._validation, range(begin, begin + self.options.validation_episodes))
 
+    def _score(self, episodes: FrameEpisodes) -> float:
+        return score(episodes, self.options.crash_limit, self.options.override_penalty)
+
     def _load(self, checkpoint: _Checkpoint) -> None:
         for network, weights in zip((self.model, self.networks), checkpoint.weights, strict=True):
             network.load_state_dict(weights)
 
 
-def score(episodes: FrameEpisodes, crash_limit: float) -> float:
-    """Mean return, less what crashes above the limit cost."""
+def score(episodes: FrameEpisodes, crash_limit: float, override_penalty: float = 0.0) -> float:
+    """Mean return, less what crashes above the limit and overridden decisions cost."""
     excess = max(float(episodes.crashed.mean()) - crash_limit, 0.0)
-    return float(episodes.returns.mean()) - _RETURN_OF_A_CRASH * excess
+    overrides = float(episodes.overridden.mean())
+    return float(episodes.returns.mean()) - _RETURN_OF_A_CRASH * excess - override_penalty * overrides
 
 
 def _rate_share(update: int, updates: int) -> float:

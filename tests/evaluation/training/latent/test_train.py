@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -126,6 +127,16 @@ def test_the_shield_overrides_in_its_world_only():
     assert 0 < shielded.override_share < 1
 
 
+def test_overrides_cost_their_penalty_in_training_only():
+    """The same driving with and without a penalty: rewards differ by it where the shield overrode."""
+    found = []
+    for penalty in (0.0, 0.25):
+        collector = Collector(frame_world(FAST, 4, VIEW, ShieldConfig()), 7, 0.0, penalty)
+        found.append([episode for _ in range(31) for episode in collector.step(Scripted())])
+    differences = np.concatenate([a["reward"] - b["reward"] for a, b in zip(*found, strict=True)])
+    assert set(np.round(differences, 5)) == {0.0, 0.25}
+
+
 def test_crashes_above_the_limit_count_less():
     def episodes(crashes: int) -> FrameEpisodes:
         crashed = np.arange(100) < crashes
@@ -134,6 +145,8 @@ def test_crashes_above_the_limit_count_less():
 
     assert score(episodes(2), 0.025) == 20
     assert score(episodes(10), 0.025) == pytest.approx(20 - 0.75)
+    overridden = replace(episodes(0), overridden=np.full(100, 4.0))
+    assert score(overridden, 0.025, 0.15) == pytest.approx(20 - 0.6)
 
 
 def test_a_training_that_diverges_stops_with_an_error(tmp_path, monkeypatch):
@@ -156,6 +169,8 @@ def test_a_training_that_diverges_stops_with_an_error(tmp_path, monkeypatch):
     [
         {"updates": 0}, {"seed": 90}, {"seed": -1}, {"length": 1}, {"envs": 101}, {"validation_episodes": 501},
         {"exploration": 1.5}, {"rate": 0.0}, {"warm_up": 10}, {"capacity": 5000}, {"size": "huge"},
+        {"override_penalty": 0.1},
+        {"override_penalty": -1.0, "shield": "default"},
         {"shield": "steel"}, {"setting": "highway-slow"}, {"latent": "gaussian"}, {"discount": 1.0},
     ],
 )  # fmt: skip

@@ -341,7 +341,8 @@ def rule_violations(
     --------
     >>> import numpy as np
     >>> from dynamics.roads.straight import StraightRoad
-    >>>     >>> def at(x, v, before=None):
+    >>> from dynamics.traffic.assumptions import Assumptions
+    >>> def at(x, v, before=None):
     ...     row = np.array([[x, 0.0, 0.0, v, 5.0, 2.0, 0.0]])
     ...     return OtherVehicles(row, row[:, :4], StraightRoad.from_lanes(2), Assumptions.idm(), 0.1, before)
     >>> nobody, ego = np.zeros(1, bool), EgoFootprint(0.0, 4.0, 0.0, 20.0, 4.5, 1.3, 2.5, 1.0, False)

@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 from dynamics.errors import ConfigError
 from dynamics.world_model.view import CHANNELS, OTHERS, RELATIVE_SPEED, FrameView
 
-__all__ = ["Latent", "Objective", "WorldModelConfig"]
+__all__ = ["Latent", "Objective", "WorldModelConfig", "check_keys"]
 
 Latent = Literal["simnorm", "categorical"]
 """Kind of the latent: softmax groups without randomness, or sampled categoricals."""
@@ -141,10 +141,7 @@ class WorldModelConfig:
         ConfigError
             If they do not describe a configuration.
         """
-        names = {each.name for each in fields(cls)}
-        if not isinstance(values, dict) or set(values) != names:
-            have = sorted(values) if isinstance(values, dict) else type(values).__name__
-            raise ConfigError(f"a world model's configuration has the keys {sorted(names)}, not {have}")
+        check_keys(cls, values, "a world model")
         try:
             return cls(**{**values, "view": FrameView(**values["view"])})
         except TypeError as error:
@@ -155,6 +152,15 @@ _WEIGHTS = (
     *("unimix", "free_bits", "kl_dynamics", "kl_representation", "variance", "covariance"),
     *("prediction", "decoding", "outcomes"),
 )
+
+
+def check_keys(config: type[Any], values: Any, what: str) -> None:
+    """Raise `ConfigError` unless JSON values are a dict of all fields of a configuration, a dataclass. `what` names its
+    owner."""
+    names = {each.name for each in fields(config)}
+    if not isinstance(values, dict) or set(values) != names:
+        have = sorted(values) if isinstance(values, dict) else type(values).__name__
+        raise ConfigError(f"{what}'s configuration has the keys {sorted(names)}, not {have}")
 
 
 def _check_name(what: str, name: Any, valid: tuple[str, ...]) -> None:

@@ -6,7 +6,7 @@ The labels come from the simulated traffic (`evaluation.training.safety_labels`)
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from dynamics.errors import ConfigError, ModelError
 from dynamics.state import FloatArray
-from dynamics.world_model.config import STRIDE
+from dynamics.world_model.config import STRIDE, check_keys
 from dynamics.world_model.files import load_weights, read_config, save_parts
 from dynamics.world_model.networks import Encoder, mlp
 from dynamics.world_model.view import CHANNELS, FrameView
@@ -82,10 +82,7 @@ class MonitorConfig:
         ConfigError
             If they do not describe a configuration.
         """
-        names = {each.name for each in fields(cls)}
-        if not isinstance(values, dict) or set(values) != names:
-            have = sorted(values) if isinstance(values, dict) else type(values).__name__
-            raise ConfigError(f"a safety monitor's configuration has the keys {sorted(names)}, not {have}")
+        check_keys(cls, values, "a safety monitor")
         return cls(**{**values, "view": FrameView(**values["view"])})
 
 

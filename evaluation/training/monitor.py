@@ -154,8 +154,14 @@ def calibrated(monitor: SafetyMonitor, states: LabelledStates, miss: float) -> S
     optimizer.step(closure)
     slope, offset = math.exp(scale[0].item()), scale[1].item()
     found = monitor.with_config(slope=slope, offset=offset)
-    risks = 1 / (1 + np.exp(-(slope * logits.numpy() + offset)))
+    risks = _risks(found, logits.numpy())
     return found.with_config(threshold=conformal_threshold(risks[states.unsafe], miss))
+
+
+def _risks(monitor: SafetyMonitor, logits: FloatArray) -> FloatArray:
+    """Calibrated probabilities of logits, of the same shape."""
+    risks: FloatArray = 1 / (1 + np.exp(-(monitor.config.slope * logits + monitor.config.offset)))
+    return risks
 
 
 def auroc(scores: FloatArray, positive: BoolArray) -> float:
@@ -213,8 +219,7 @@ class MonitorGrade(NamedTuple):
 
 def grade(monitor: SafetyMonitor, states: LabelledStates, outcomes: EpisodeOutcomes) -> MonitorGrade:
     """Grade a calibrated monitor on whole episodes (`gather_episodes`) that were neither trained nor calibrated on."""
-    config = monitor.config
-    risks = 1 / (1 + np.exp(-(config.slope * logits_of(monitor, states.frames) + config.offset)))
+    config, risks = monitor.config, _risks(monitor, logits_of(monitor, states.frames))
     lost: BoolArray = np.asarray(states.unsafe.all(axis=1))
     least = risks.min(axis=1)
     left = outcomes.lengths[states.episodes] - states.steps

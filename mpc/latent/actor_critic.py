@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from dynamics.errors import ConfigError
+from dynamics.world_model.config import check_keys
 from dynamics.world_model.losses import Losses
 from dynamics.world_model.model import LatentState, WorldModel
 from dynamics.world_model.networks import mlp
@@ -85,10 +86,7 @@ class DriverConfig:
         ConfigError
             If they do not describe a configuration.
         """
-        names = {each.name for each in fields(cls)}
-        if not isinstance(values, dict) or set(values) != names:
-            have = sorted(values) if isinstance(values, dict) else type(values).__name__
-            raise ConfigError(f"a latent driver's configuration has the keys {sorted(names)}, not {have}")
+        check_keys(cls, values, "a latent driver")
         return cls(**values)
 
 

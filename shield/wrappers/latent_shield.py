@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from dynamics.state import BoolArray, FloatArray, IntArray
+from dynamics.state import FloatArray, IntArray
 from shield.errors import ConfigError, PolicyError
 from shield.wrappers.ranking import ranking_of
 
@@ -126,9 +126,9 @@ class LatentShield:
             )
         proposed = proposed.astype(np.intp)
         executed = filtered_actions(risks, proposed, ranking_of(self.policy, batch), self.threshold)
-        accepted: BoolArray = np.asarray((np.nan_to_num(risks, nan=1.0) <= self.threshold).any(axis=1))
+        # Where any action is accepted, the executed one is.
         self.decisions = [
-            LatentDecision(int(p), int(e), float(row[p]), float(row[e]), not bool(any_accepted))
-            for p, e, row, any_accepted in zip(proposed, executed, risks, accepted, strict=True)
+            LatentDecision(int(p), int(e), float(row[p]), float(row[e]), not bool(row[e] <= self.threshold))
+            for p, e, row in zip(proposed, executed, risks, strict=True)
         ]
         return (executed[0] if single else executed), state
